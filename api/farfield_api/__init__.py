@@ -1,0 +1,1 @@
+"""The HTTP API of farfield: a thin FastAPI shell over `farfield`."""

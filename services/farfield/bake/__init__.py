@@ -1,0 +1,1 @@
+"""Placement, Scene -> BakedLayers: layered impostors as cropped texel tiles."""

@@ -1,0 +1,27 @@
+"""The output of stage 6."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SHAFT, BOX = 0, 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidates:
+    """N candidates: a cluster and a view cell from which an impostor of it is valid. Ids are final; ties go to the lower.
+
+    Sorted by (cluster, kind, view cell). `view_cell` holds, for a SHAFT: apex (3), unit axis from object to viewer (3),
+    tan(beta/2), near distance, far distance (may be inf), all along the axis from the apex; for a BOX: low (3), high (3),
+    0, 0, 0. The problem views that candidate i helps are entries [row[i], row[i+1]).
+    """
+
+    cluster: np.ndarray  # (N,) i32  node of the hierarchy
+    kind: np.ndarray  # (N,) u1   SHAFT or BOX
+    view_cell: np.ndarray  # (N,9) f64
+    bytes: np.ndarray  # (N,) i64  upper bound: 4 a texel of its layers, overhead an impostor and a layer
+    layers: np.ndarray  # (N,) i32  upper bound
+    cost: np.ndarray  # (N,) i64  upper bound of drawing it, from anywhere in its view cell
+    row: np.ndarray  # (N+1,) i64
+    view: np.ndarray  # (E,) i32  problem views served, ascending
+    saved: np.ndarray  # (E,) i64  cost of the cluster's geometry in that view minus `cost`, > 0

@@ -1,0 +1,1 @@
+"""The `farfield` command: one file a verb, thin."""

@@ -1,0 +1,144 @@
+"""The one binary container of farfield: named, typed arrays that a reader maps without copying.
+
+Layout   8 bytes magic, uint32 format version, uint32 header length, header (UTF-8 JSON, keys sorted), zero padding,
+         then each column, little-endian, C order, at an 8-byte aligned offset from the start of the file.
+Use      Artifacts that stages hand to each other, and the chunks of the placement database. The same content gives
+         the same bytes: no time, no address, no order of a dict enters.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from farfield.errors import ColumnsAltered, ColumnsTooNew, ColumnsTruncated, NotColumns
+
+MAGIC = b"FARFIELD"
+FORMAT_VERSION = 1
+ALIGNMENT = 8
+DTYPES = ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f4", "<f8")
+
+T = TypeVar("T")
+
+
+def _aligned(n: int) -> int:
+    return -(-n // ALIGNMENT) * ALIGNMENT
+
+
+def pack(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] | None = None) -> bytes:
+    """Return the container's bytes. `kind` names what it holds; `meta` is JSON of small values."""
+    arrays: list[tuple[str, np.ndarray]] = []
+    for name in sorted(columns):
+        array = np.asarray(columns[name])
+        array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
+        if array.dtype.str not in DTYPES:
+            raise TypeError(f"column {name} has type {array.dtype}, which the container does not hold")
+        arrays.append((name, array))
+
+    def header(offsets: list[int], total: int) -> bytes:
+        table = [
+            {"dtype": a.dtype.str, "name": n, "offset": o, "shape": list(a.shape)}
+            for (n, a), o in zip(arrays, offsets, strict=True)
+        ]
+        text = {"bytes": total, "columns": table, "kind": kind, "meta": dict(meta or {})}
+        return json.dumps(text, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+    def layout(start: int) -> tuple[list[int], int]:
+        offsets, at = [], start
+        for _, a in arrays:
+            offsets.append(at)
+            at = _aligned(at + a.nbytes)
+        return offsets, at
+
+    # The header's length depends on the digits of the offsets: widen the start until both agree.
+    start = 0
+    while True:
+        offsets, total = layout(start)
+        head = header(offsets, total)
+        needed = _aligned(16 + len(head))
+        if needed <= start:
+            break
+        start = needed
+    out = bytearray(total)
+    out[:16] = MAGIC + FORMAT_VERSION.to_bytes(4, "little") + len(head).to_bytes(4, "little")
+    out[16 : 16 + len(head)] = head
+    for (_, a), o in zip(arrays, offsets, strict=True):
+        out[o : o + a.nbytes] = a.tobytes()
+    return bytes(out)
+
+
+def unpack(buffer: Any, *, where: str = "buffer") -> tuple[str, dict[str, np.ndarray], dict[str, Any]]:
+    """Return (kind, columns, meta); the columns are read-only views into `buffer` (bytes, mmap or uint8 array).
+
+    Raises NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered; each names `where`.
+    """
+    view = memoryview(buffer).cast("B") if not isinstance(buffer, np.ndarray) else memoryview(np.ascontiguousarray(buffer))
+    if len(view) < 16 or bytes(view[:8]) != MAGIC:
+        raise NotColumns(where)
+    version = int.from_bytes(view[8:12], "little")
+    if version != FORMAT_VERSION:
+        raise ColumnsTooNew(where, version, FORMAT_VERSION)
+    length = int.from_bytes(view[12:16], "little")
+    if len(view) < 16 + length:
+        raise ColumnsTruncated(where, len(view), 16 + length)
+    try:
+        head = json.loads(bytes(view[16 : 16 + length]))
+        total, kind, meta, table = int(head["bytes"]), str(head["kind"]), dict(head["meta"]), list(head["columns"])
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError, RecursionError) as error:
+        raise ColumnsAltered(where, "its header is not readable") from error
+    if len(view) < total:
+        raise ColumnsTruncated(where, len(view), total)
+    if len(view) > total:
+        raise ColumnsAltered(where, "it is longer than its header says")
+    columns: dict[str, np.ndarray] = {}
+    for entry in table:
+        try:
+            name, dtype, shape, offset = str(entry["name"]), entry["dtype"], tuple(entry["shape"]), entry["offset"]
+            valid = dtype in DTYPES and all(type(n) is int and n >= 0 for n in shape)
+            valid = valid and type(offset) is int and offset >= 16 + length and offset % ALIGNMENT == 0
+        except (KeyError, TypeError) as error:
+            raise ColumnsAltered(where, "its column table is not readable") from error
+        if not valid:
+            raise ColumnsAltered(where, f"column {name} has an impossible type, shape or offset")
+        count = 1
+        for n in shape:
+            count *= n
+        if offset + count * np.dtype(dtype).itemsize > total:
+            raise ColumnsAltered(where, f"column {name} ends past the end of the file")
+        array = np.frombuffer(view, dtype=dtype, count=count, offset=offset).reshape(shape)
+        array.flags.writeable = False
+        columns[name] = array
+    return kind, columns, meta
+
+
+def pack_dataclass(record: Any) -> bytes:
+    """Return the container of a frozen dataclass: arrays become columns, everything else becomes meta."""
+    columns: dict[str, np.ndarray] = {}
+    meta: dict[str, Any] = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if isinstance(value, np.ndarray):
+            columns[field.name] = value
+        else:
+            meta[field.name] = value
+    return pack(type(record).__name__, columns, meta)
+
+
+def unpack_dataclass(cls: type[T], buffer: Any, *, where: str = "buffer") -> T:
+    """Return the dataclass that `pack_dataclass` wrote; lists in meta become tuples.
+
+    Raises as `unpack` does, and ColumnsAltered where kind or fields differ.
+    """
+    kind, columns, meta = unpack(buffer, where=where)
+    if kind != cls.__name__:
+        raise ColumnsAltered(where, f"it holds {kind}, not {cls.__name__}")
+    names = {field.name for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    if names != set(columns) | set(meta):
+        raise ColumnsAltered(where, f"its fields are not those of {cls.__name__}")
+    return cls(**columns, **{k: _frozen(v) for k, v in meta.items()})
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value

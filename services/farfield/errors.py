@@ -1,0 +1,138 @@
+"""Every error farfield names. Domain errors carry facts and advice, never an HTTP status.
+
+    FarfieldError
+    ├── SceneError            the uploaded level cannot be used                      exit 3, HTTP 422
+    ├── SettingsInvalid       a setting is out of its range                          exit 2, HTTP 422
+    ├── ImpostorError         outside the domain of the error metric                 exit 3, HTTP 422
+    ├── PlacementFileError    a placement database file cannot be read               exit 3, HTTP 422
+    │   ├── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered
+    │   └── (others in this file)
+    ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
+    └── StageFailed           a shard failed for good                                exit 1, HTTP 500
+
+Each message says what is wrong, where, and what to do. `code` is the stable name that the API and `--json` show.
+"""
+
+
+class FarfieldError(Exception):
+    """Root of the tree. `advice` is a sentence on what to do."""
+
+    advice = ""
+
+    @property
+    def code(self) -> str:
+        return type(self).__name__
+
+
+class SceneError(FarfieldError):
+    """The scene file cannot be used."""
+
+
+class SceneUnreadable(SceneError):
+    """Unknown or corrupt format."""
+
+    advice = "Export the level again as glTF 2.0 (GLB), OBJ, PLY or STL, or a zip of these."
+
+
+class SceneEmpty(SceneError):
+    """No triangles."""
+
+    advice = "Check that the export contains meshes with triangles."
+
+
+class SceneIndexOutOfRange(SceneError):
+    """An index points past its vertices, accessor or buffer."""
+
+    advice = "Export the level again; the file contradicts itself."
+
+
+class SceneNotFinite(SceneError):
+    """A position or transform is NaN or infinite."""
+
+    advice = "Remove the vertices or transforms that are not finite."
+
+
+class SceneUriRefused(SceneError):
+    """A reference leaves the scene's folder, or names a network or absolute address."""
+
+    advice = "Pack the level as one GLB, or a zip with all files beside it and relative names."
+
+
+class SceneFileMissing(SceneError):
+    """A relative file that the scene names is not there."""
+
+    advice = "Add the file beside the scene, or pack the level as one GLB or zip."
+
+
+class SceneOverLimit(SceneError):
+    """Larger than a limit in bytes, nodes, triangles, texture pixels or depth."""
+
+    advice = "Split the level, or ask the operator to raise the limit."
+
+
+class SettingsInvalid(FarfieldError):
+    """A setting is out of its range. `key` is its dotted name."""
+
+    advice = "See docs/settings.md for the range of each setting."
+
+    def __init__(self, key: str, why: str) -> None:
+        super().__init__(f"{key}: {why}")
+        self.key = key
+
+
+class ImpostorError(FarfieldError):
+    """Outside the domain of the error metric."""
+
+
+class ObjectTouchesViewCell(ImpostorError):
+    """No impostor is valid where the viewer can touch the object (t0 <= 0)."""
+
+    advice = "Keep the geometry there, or take a view cell that is farther away."
+
+
+class OutOfDomain(ImpostorError):
+    """A parameter of the error metric is outside its domain."""
+
+    advice = "See `farfield layers --help` for the domain of each parameter."
+
+
+class PlacementFileError(FarfieldError):
+    """A file of a placement database, or an artifact, cannot be read."""
+
+    advice = "Fetch the placement again, or place the level again."
+
+
+class NotColumns(PlacementFileError):
+    def __init__(self, where: str) -> None:
+        super().__init__(f"{where} is not a farfield file: it does not begin with FARFIELD.")
+
+
+class ColumnsTooNew(PlacementFileError):
+    advice = "Update farfield."
+
+    def __init__(self, where: str, found: int, known: int) -> None:
+        super().__init__(f"{where} has format version {found}; this farfield reads version {known}.")
+
+
+class ColumnsTruncated(PlacementFileError):
+    def __init__(self, where: str, found_bytes: int, needed_bytes: int) -> None:
+        super().__init__(f"{where} is truncated: {found_bytes} of at least {needed_bytes} bytes are there.")
+
+
+class ColumnsAltered(PlacementFileError):
+    def __init__(self, where: str, why: str) -> None:
+        super().__init__(f"{where} is altered or damaged: {why}.")
+
+
+class OutsideViewSpace(FarfieldError):
+    """The camera position lies outside the view space of the placement."""
+
+    advice = "Clamp the camera to the boxes in the manifest's view_space."
+
+
+class StageFailed(FarfieldError):
+    """A shard failed for good; `stage` says where."""
+
+    def __init__(self, stage: str, why: str) -> None:
+        super().__init__(f"stage {stage} failed: {why}")
+        self.stage = stage

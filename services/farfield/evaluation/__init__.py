@@ -1,0 +1,1 @@
+"""Placement database -> Report: verdict, figures, independent verification."""

@@ -1,0 +1,1 @@
+"""Leaf: boxes, cell trees, direction intervals and frusta; knows no stage."""

@@ -1,0 +1,1 @@
+"""Scene -> Hierarchy: clusters as a flat node array over depth-first objects."""

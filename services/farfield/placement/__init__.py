@@ -1,0 +1,1 @@
+"""Candidates -> Placement: the least memory that meets the budget in every problem view."""

@@ -1,0 +1,32 @@
+"""The output of stage 7."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placement:
+    """I chosen impostors and what each of V problem views shows. Impostor ids ascend with (cluster, kind, view cell).
+
+    View v shows impostors serve[serve_row[v], serve_row[v+1]), ascending; their clusters are disjoint; everything else in
+    the view is drawn as geometry. The view cell of an impostor covers every cell in which it is shown.
+    """
+
+    cluster: np.ndarray  # (I,) i32
+    kind: np.ndarray  # (I,) u1
+    view_cell: np.ndarray  # (I,9) f64  as in Candidates, re-tightened to what is served
+    bytes: np.ndarray  # (I,) i64  as in Candidates; measured after `repair`
+    layers: np.ndarray  # (I,) i32
+    cost: np.ndarray  # (I,) i64
+    serve_row: np.ndarray  # (V+1,) i64
+    serve: np.ndarray  # (S,) i32
+    view_cost: np.ndarray  # (V,) i64  bound with the impostors shown, re-evaluated from scratch
+    view_target: np.ndarray  # (V,) i64  model.target, or 1.05 of the best for a hopeless view
+    view_best: np.ndarray  # (V,) i64  least cost that any combination of candidates reaches
+    hopeless: np.ndarray  # (V,) b1   view_best > model.target
+    culprit_row: np.ndarray  # (H+1,) i64  for the h-th hopeless view (ascending): objects to blame ...
+    culprit: np.ndarray  # (U,) i32  ... most expensive first, at most 16
+    smallest_budget: int  # least budget (with per_frame) that every view could meet
+    step_view_cost: np.ndarray  # (G,) i64  after each accepted choice: sum over views of what is above target
+    step_bytes: np.ndarray  # (G,) i64  ... and the bytes chosen so far

@@ -1,0 +1,1 @@
+"""Everything -> files: manifest, chunks and pages that the viewer reads."""

@@ -1,0 +1,1 @@
+"""Scene, device profile -> CostModel: what drawing costs, in integers."""

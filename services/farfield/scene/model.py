@@ -1,0 +1,61 @@
+"""The output of stage 1."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+OPAQUE, MASK, BLEND = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """A static level: M meshes, N objects (placed meshes), K materials, X textures.
+
+    Object ids are final: objects stand in depth-first order of the hierarchy (Morton order on the fixed grid, ties by
+    box corners, triangles, calls), so that a cluster is a range of ids. All coordinates but `origin_m` are metres, y up,
+    right-handed, relative to `origin_m`, a point of the fixed grid. Public ("scene") coordinates = these + origin_m.
+    """
+
+    origin_m: np.ndarray  # (3,)  f64  scene metres
+    cell_m: float  # side of the smallest view-space cell; the grid's spacing is a power of two times it
+    view_boxes: np.ndarray  # (B,2,3) f64  the view space, relative to origin_m
+    # vertices, mesh-local; float32 is what is drawn, counted and baked alike (loss: 2**-24 of the mesh's extent)
+    position: np.ndarray  # (Y,3) f32
+    normal: np.ndarray  # (Y,3) f32  unit; computed where the file has none
+    uv: np.ndarray  # (Y,2) f32  base-colour texture coordinates, texture transform applied; 0 where none
+    color: np.ndarray  # (Y,4) f32  linear RGBA vertex colour; 1 where none
+    index: np.ndarray  # (T,3) i32  into the vertex arrays
+    # primitives: one draw call each
+    primitive_triangle: np.ndarray  # (P+1,) i64  primitive p has triangles [p, p+1)
+    primitive_vertex: np.ndarray  # (P+1,) i64  ... and uses only vertices of this range
+    primitive_material: np.ndarray  # (P,) i32
+    mesh_primitive: np.ndarray  # (M+1,) i64  mesh m has primitives [m, m+1)
+    # objects
+    object_mesh: np.ndarray  # (N,) i32
+    object_matrix: np.ndarray  # (N,3,4) f64  mesh-local -> relative to origin_m
+    object_box: np.ndarray  # (N,2,3) f64  exact box of the transformed float32 vertices, computed in float64
+    object_triangles: np.ndarray  # (N,) i64
+    object_calls: np.ndarray  # (N,) i64  primitives
+    object_bytes: np.ndarray  # (N,) i64  geometry bytes of its mesh (36 a vertex, 12 a triangle), shared or not
+    object_replaceable: np.ndarray  # (N,) b1  False: some material cannot be baked (blended), stays geometry
+    object_name: tuple[str, ...]
+    # materials
+    material_base_color: np.ndarray  # (K,4) f32  linear
+    material_emissive: np.ndarray  # (K,3) f32  linear
+    material_alpha_mode: np.ndarray  # (K,) u1   OPAQUE, MASK, BLEND
+    material_alpha_cutoff: np.ndarray  # (K,) f32
+    material_double_sided: np.ndarray  # (K,) b1
+    material_texture: np.ndarray  # (K,) i32  base-colour texture, -1 none
+    material_name: tuple[str, ...]
+    # textures: encoded images (PNG, JPEG, WebP)
+    texture_byte: np.ndarray  # (X+1,) i64  image x is texture_data[x, x+1)
+    texture_data: np.ndarray  # (D,) u1
+    texture_wrap: np.ndarray  # (X,2) i32  glTF wrap modes in s and t (33071 clamp, 33648 mirror, 10497 repeat)
+    texture_linear: np.ndarray  # (X,) b1  filter linearly (else nearest)
+    # what was noticed
+    dropped_triangles: int  # degenerate ones
+    warnings: tuple[str, ...]
+
+    @property
+    def n_objects(self) -> int:
+        return len(self.object_mesh)

@@ -1,0 +1,184 @@
+"""Every setting with its default, unit and range, once. TOML file, API body and report use the same keys.
+
+`resolve` is not here: what is derived from a scene (view space, cell size) is derived in `farfield.scene.derive`.
+"""
+
+import dataclasses
+import math
+import re
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from farfield.errors import SettingsInvalid
+
+Corner = tuple[float, float, float]
+Box = tuple[Corner, Corner]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneSettings:
+    unit_m: float | None = None  # metres per unit of the file, > 0; None: 1, or what the format says
+    up: Literal["y", "z"] | None = None  # the file's up axis; None: y, or what the format says
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraSettings:
+    fov_deg: float = 45.0  # vertical, (0, 150]
+    width: int = 1280  # pixels, 16..16384
+    height: int = 720  # pixels, 16..16384
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewSpaceSettings:
+    boxes: tuple[Box, ...] | None = None  # scene metres; None: derived from the scene
+    cell_m: float | None = None  # side of the smallest cell, > 0; None: derived from the scene
+    interval_deg: float = 11.25  # smallest direction interval; 90, 45, 22.5, 11.25 or 5.625
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualitySettings:
+    pixel_error: float = 1.0  # admissible parallax, output pixels, (0, 64]
+    pixels_at: Literal["centre", "anywhere"] = "centre"  # where on the screen that pixel is measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VisibilitySettings:
+    mode: Literal["off"] = "off"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacementSettings:
+    candidates: Literal["shafts+boxes", "shafts", "boxes"] = "shafts+boxes"
+    assignment: Literal["fastest", "least"] = "fastest"  # which of its impostors a view shows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    budget: str = "16 ms"  # "16 ms", "300 calls" or "200000 triangles"
+    device: str = "reference"  # device profile: what drawing costs
+    seed: int = 0  # [0, 2**63)
+    scene: SceneSettings = field(default_factory=SceneSettings)
+    camera: CameraSettings = field(default_factory=CameraSettings)
+    view_space: ViewSpaceSettings = field(default_factory=ViewSpaceSettings)
+    quality: QualitySettings = field(default_factory=QualitySettings)
+    visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
+    placement: PlacementSettings = field(default_factory=PlacementSettings)
+
+
+Unit = Literal["ns", "calls", "triangles"]
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a frame may cost. `amount` is an integer in `unit`; "16 ms" is 16,000,000 ns."""
+
+    unit: Unit
+    amount: int
+
+
+def parse_budget(text: str) -> Budget:
+    """Return the budget that "16 ms", "300 calls" or "200000 triangles" names. Raises SettingsInvalid."""
+    match = re.fullmatch(r"\s*([0-9][0-9_]*(?:\.[0-9]+)?)\s*(ms|calls?|triangles?)\s*", text)
+    if not match:
+        raise SettingsInvalid("budget", f'{text!r} is not of the form "16 ms", "300 calls" or "200000 triangles"')
+    number, word = float(match[1].replace("_", "")), match[2]
+    if word == "ms":
+        unit, amount = "ns", number * 1e6
+    else:
+        unit, amount = ("calls" if word.startswith("call") else "triangles"), number
+    if amount != math.floor(amount) or amount > 2**53:
+        raise SettingsInvalid("budget", f"{text!r} is not a whole number of {unit}, or too large")
+    return Budget(typing.cast(Unit, unit), int(amount))
+
+
+def from_mapping(values: Mapping[str, Any]) -> Settings:
+    """Return checked Settings from nested mappings (a TOML file, a JSON body). Raises SettingsInvalid."""
+    settings = _build(Settings, values, "")
+    check(settings)
+    return settings
+
+
+def to_mapping(settings: Settings) -> dict[str, Any]:
+    """Return plain nested dicts and lists: JSON-able, the inverse of `from_mapping`."""
+    return typing.cast(dict[str, Any], _plain(settings))
+
+
+def check(settings: Settings) -> None:
+    """Refuse every value out of range. Raises SettingsInvalid with the dotted key."""
+    s = settings
+
+    def need(condition: bool, key: str, why: str) -> None:
+        if not condition:
+            raise SettingsInvalid(key, why)
+
+    parse_budget(s.budget)
+    need(0 <= s.seed < 2**63, "seed", "must be in [0, 2**63)")
+    unit_m = s.scene.unit_m
+    need(unit_m is None or (1e-9 <= unit_m <= 1e9), "scene.unit_m", "must be in [1e-9, 1e9]")
+    need(0 < s.camera.fov_deg <= 150, "camera.fov_deg", "must be in (0, 150] degrees")
+    for key in ("width", "height"):
+        need(16 <= getattr(s.camera, key) <= 16384, f"camera.{key}", "must be in 16..16384 pixels")
+    need(s.view_space.interval_deg in (90.0, 45.0, 22.5, 11.25, 5.625), "view_space.interval_deg",
+         "must be 90, 45, 22.5, 11.25 or 5.625 degrees")  # fmt: skip
+    cell_m = s.view_space.cell_m
+    need(cell_m is None or (math.isfinite(cell_m) and cell_m > 0), "view_space.cell_m", "must be a positive length")
+    if s.view_space.boxes is not None:
+        need(len(s.view_space.boxes) > 0, "view_space.boxes", "must hold at least one box, or be left out")
+        for i, (low, high) in enumerate(s.view_space.boxes):
+            finite = all(math.isfinite(x) for x in (*low, *high))
+            need(finite and all(a <= b for a, b in zip(low, high, strict=True)), f"view_space.boxes[{i}]",
+                 "must be two finite corners, the lower one first")  # fmt: skip
+    need(0 < s.quality.pixel_error <= 64, "quality.pixel_error", "must be in (0, 64] pixels")
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, (tuple, list)):
+        return [_plain(v) for v in value]
+    return value
+
+
+def _build(cls: type, values: Any, prefix: str) -> Any:
+    if not isinstance(values, Mapping):
+        raise SettingsInvalid(prefix.rstrip(".") or "settings", "must be a table of settings")
+    hints = typing.get_type_hints(cls)
+    unknown = sorted(set(map(str, values)) - set(hints))
+    if unknown:
+        raise SettingsInvalid(prefix + unknown[0], f"unknown setting; known here: {', '.join(sorted(hints))}")
+    return cls(**{name: _convert(hints[name], values[name], prefix + name) for name in hints if name in values})
+
+
+def _convert(hint: Any, value: Any, key: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), value, key + ".")
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        if value is None:
+            return None
+        (inner,) = (a for a in arguments if a is not type(None))
+        return _convert(inner, value, key)
+    if origin is Literal:
+        if value not in arguments:
+            raise SettingsInvalid(key, f"must be one of {', '.join(map(str, arguments))}, not {value!r}")
+        return value
+    if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise SettingsInvalid(key, "must be a list")
+        if len(arguments) == 2 and arguments[1] is Ellipsis:
+            return tuple(_convert(arguments[0], v, f"{key}[{i}]") for i, v in enumerate(value))
+        if len(value) != len(arguments):
+            raise SettingsInvalid(key, f"must have {len(arguments)} entries")
+        return tuple(_convert(a, v, f"{key}[{i}]") for i, (a, v) in enumerate(zip(arguments, value, strict=True)))
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise SettingsInvalid(key, "must be finite")
+        return float(value)
+    if hint is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if hint is str and isinstance(value, str):
+        return value
+    raise SettingsInvalid(key, f"must be {getattr(hint, '__name__', hint)}, not {value!r}")

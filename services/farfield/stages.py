@@ -1,0 +1,27 @@
+"""The stage names: table value, task name, metric label, folder and test folder."""
+
+from enum import StrEnum
+
+
+class Stage(StrEnum):
+    """The stages in the order in which a job passes them."""
+
+    SCENE = "scene"
+    HIERARCHY = "hierarchy"
+    RENDERTIME = "rendertime"
+    VISIBILITY = "visibility"
+    VIEWSPACE = "viewspace"
+    CANDIDATES = "candidates"
+    PLACEMENT = "placement"
+    BAKE = "bake"
+    REPAIR = "repair"
+    PLACEMENTDB = "placementdb"
+    EVALUATION = "evaluation"
+
+
+class Queue(StrEnum):
+    """The worker queues, by capability."""
+
+    CPU = "cpu"
+    OPTIMIZER = "optimizer"
+    GL = "gl"

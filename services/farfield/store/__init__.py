@@ -1,0 +1,1 @@
+"""The only package with SQL and blobs: tables, repositories, artifacts by digest."""

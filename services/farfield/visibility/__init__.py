@@ -1,0 +1,1 @@
+"""Hierarchy, cells -> VisibleSets: what each view-space cell can see."""

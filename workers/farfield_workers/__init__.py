@@ -1,0 +1,1 @@
+"""Celery workers of farfield: a thin shell that runs the shards of `farfield.pipeline`."""
