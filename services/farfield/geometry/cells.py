@@ -6,7 +6,10 @@ Method   A node is a set of boxes clipped to its region, and their bounding box.
          somewhere, cut its longest side at the coarsest grid plane (multiple of cell_m times a power of two, origin at 0)
          strictly inside it; a plane exists, because an open interval longer than cell_m holds a multiple of it.
          A node no longer than cell_m on any side is a leaf cell even where it straddles a plane: fewer slivers.
-Half-open A point on a plane belongs to the high side.
+Half-open A point on a plane belongs to the high side, and a box of the view space holds its low faces but not its high
+         ones, unless it is flat there: neighbouring boxes share no points, and a box that ends at a plane has no part
+         beyond it. A point on a high face that no other box holds is still in the view space (`find_cell` looks it up
+         just inside that box): the boxes as a whole are closed.
 """
 
 from dataclasses import dataclass
@@ -82,9 +85,8 @@ def build_cells(boxes: np.ndarray, cell_m: float) -> CellTree:
             leaves.append(node)
         else:
             axis, plane = cut
-            # Half-open: a box that only touches the plane from below has points on it, which belong to the high side.
             low = part[part[:, 0, axis] < plane].copy()
-            high = part[part[:, 1, axis] >= plane].copy()
+            high = part[(part[:, 1, axis] > plane) | (part[:, 0, axis] >= plane)].copy()
             low[:, 1, axis] = np.minimum(low[:, 1, axis], plane)
             high[:, 0, axis] = np.maximum(high[:, 0, axis], plane)
             rows[node][0], rows[node][1] = axis, plane
@@ -103,9 +105,19 @@ def build_cells(boxes: np.ndarray, cell_m: float) -> CellTree:
     )  # fmt: skip
 
 
-def find_cell(tree: CellTree, point: np.ndarray) -> int:
-    """Return the leaf cell of a point of the view space (the caller has checked that it is one)."""
+def find_cell(tree: CellTree, boxes: np.ndarray, point: np.ndarray) -> int:
+    """Return the leaf cell of `point` (3,) f64, or -1 outside the view space `boxes` (B,2,3) f64 the tree was built from."""
+    low, high = boxes[:, 0], boxes[:, 1]
+    closed = np.flatnonzero(((low <= point) & (point <= high)).all(1))
+    if not len(closed):
+        return -1
+    half_open = closed[((point < high[closed]) | (low[closed] == high[closed])).all(1)]
+    if len(half_open):
+        q = point
+    else:
+        b = closed[0]
+        q = np.where((point == high[b]) & (low[b] < high[b]), np.nextafter(point, low[b]), point)
     node = 0
     while tree.axis[node] >= 0:
-        node = tree.high[node] if point[tree.axis[node]] >= tree.plane[node] else tree.low[node]
+        node = tree.high[node] if q[tree.axis[node]] >= tree.plane[node] else tree.low[node]
     return int(tree.start[node])
