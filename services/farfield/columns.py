@@ -8,7 +8,7 @@ Use      Artifacts that stages hand to each other, and the chunks of the placeme
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +22,9 @@ DTYPES = ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f4", 
 
 T = TypeVar("T")
 
+# A file about to be written: its pieces in order. Joined they are the container; written one by one they cost no copy.
+Parts = Sequence[bytes | memoryview]
+
 
 def _aligned(n: int) -> int:
     return -(-n // ALIGNMENT) * ALIGNMENT
@@ -29,6 +32,11 @@ def _aligned(n: int) -> int:
 
 def pack(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] | None = None) -> bytes:
     """Return the container's bytes. `kind` names what it holds; `meta` is JSON of small values."""
+    return b"".join(pack_parts(kind, columns, meta))
+
+
+def pack_parts(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] | None = None) -> Parts:
+    """Return what `pack` returns, as pieces that are still views of the columns."""
     arrays: list[tuple[str, np.ndarray]] = []
     for name in sorted(columns):
         array = np.asarray(columns[name])
@@ -61,12 +69,12 @@ def pack(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] |
         if needed <= start:
             break
         start = needed
-    out = bytearray(total)
-    out[:16] = MAGIC + FORMAT_VERSION.to_bytes(4, "little") + len(head).to_bytes(4, "little")
-    out[16 : 16 + len(head)] = head
-    for (_, a), o in zip(arrays, offsets, strict=True):
-        out[o : o + a.nbytes] = a.tobytes()
-    return bytes(out)
+    front = MAGIC + FORMAT_VERSION.to_bytes(4, "little") + len(head).to_bytes(4, "little") + head
+    parts: list[bytes | memoryview] = [front, bytes(start - len(front))]
+    for _, array in arrays:
+        if array.nbytes:
+            parts += [memoryview(array.reshape(-1)).cast("B"), bytes(_aligned(array.nbytes) - array.nbytes)]
+    return parts
 
 
 def unpack(buffer: Any, *, where: str = "buffer") -> tuple[str, dict[str, np.ndarray], dict[str, Any]]:
@@ -74,7 +82,9 @@ def unpack(buffer: Any, *, where: str = "buffer") -> tuple[str, dict[str, np.nda
 
     Raises NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered; each names `where`.
     """
-    view = memoryview(buffer).cast("B") if not isinstance(buffer, np.ndarray) else memoryview(np.ascontiguousarray(buffer))
+    view = (
+        memoryview(buffer).cast("B") if not isinstance(buffer, np.ndarray) else memoryview(np.ascontiguousarray(buffer))
+    )
     if len(view) < 16 or bytes(view[:8]) != MAGIC:
         raise NotColumns(where)
     version = int.from_bytes(view[8:12], "little")
@@ -115,6 +125,11 @@ def unpack(buffer: Any, *, where: str = "buffer") -> tuple[str, dict[str, np.nda
 
 def pack_dataclass(record: Any) -> bytes:
     """Return the container of a frozen dataclass: arrays become columns, everything else becomes meta."""
+    return b"".join(dataclass_parts(record))
+
+
+def dataclass_parts(record: Any) -> Parts:
+    """Return what `pack_dataclass` returns, as pieces that are still views of the arrays."""
     columns: dict[str, np.ndarray] = {}
     meta: dict[str, Any] = {}
     for field in dataclasses.fields(record):
@@ -123,7 +138,7 @@ def pack_dataclass(record: Any) -> bytes:
             columns[field.name] = value
         else:
             meta[field.name] = value
-    return pack(type(record).__name__, columns, meta)
+    return pack_parts(type(record).__name__, columns, meta)
 
 
 def unpack_dataclass(cls: type[T], buffer: Any, *, where: str = "buffer") -> T:
@@ -142,3 +157,22 @@ def unpack_dataclass(cls: type[T], buffer: Any, *, where: str = "buffer") -> T:
 
 def _frozen(value: Any) -> Any:
     return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+
+
+def files_parts(files: Mapping[str, bytes]) -> Parts:
+    """Return a container of named files (kind "files"), in the order of their names."""
+    names = sorted(files)
+    row = np.cumsum([0, *(len(files[name]) for name in names)], dtype=np.int64)
+    data = np.frombuffer(b"".join(files[name] for name in names), dtype=np.uint8)
+    return pack_parts("files", {"data": data, "row": row}, {"names": names})
+
+
+def unpack_files(buffer: Any, *, where: str = "buffer") -> Iterable[tuple[str, memoryview]]:
+    """Yield (name, content) of what `files_parts` wrote; contents are views into `buffer`. Raises as `unpack` does."""
+    kind, columns, meta = unpack(buffer, where=where)
+    names = meta.get("names")
+    if kind != "files" or not isinstance(names, list) or len(columns["row"]) != len(names) + 1:
+        raise ColumnsAltered(where, "it is not a container of files")
+    data = memoryview(columns["data"])
+    for name, start, stop in zip(names, columns["row"][:-1], columns["row"][1:], strict=True):
+        yield name, data[int(start) : int(stop)]

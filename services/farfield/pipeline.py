@@ -1,12 +1,358 @@
 """The table of contents: every stage once, in order.
 
-A stage is a pure function of content-addressed inputs, cut into shards. Whoever runs the pipeline (spawned processes of
-`farfield place`, Celery workers of the service) walks this table and nothing else:
+A stage is a pure function of content-addressed inputs, cut into shards. Whoever runs the pipeline (the spawned processes
+of `farfield place`, the Celery workers of the service) walks `STEPS` and knows nothing else about any stage:
 
-    skip    a reason not to run, or None; asked first. A skipped stage still has an output (`run` of an empty plan).
-    plan    the shards: JSON values, named by content and place, never by worker or count of workers
-    run     one shard -> bytes (an artifact)
-    merge   the shards' artifacts, in plan order -> the stage's artifact; with one shard and no merge it is that shard's
+    skip    a reason why this scene does not need the stage, or None; asked first. A skipped stage plans no shards,
+            and `merge` of nothing is its (empty) artifact, so that later stages need no special case
+    plan    the shards, as JSON values that name content and place, never a worker or how many there are
+    run     one shard -> the parts of its artifact (a file of farfield.columns)
+    merge   the shards' artifacts in plan order -> the parts of the stage's artifact; None: the one shard's is the stage's
 
-Inputs are artifacts of earlier stages as buffers (bytes or memory maps), keyed by stage, and the settings.
+All four see the same `Inputs`: the settings and the artifacts of the stages named in `inputs`, as buffers (memory maps).
+Stages import lazily, so that a process pays only for the stages it runs (the API never imports this module).
 """
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from farfield.columns import Parts, dataclass_parts, files_parts, pack_parts, unpack, unpack_dataclass, unpack_files
+from farfield.settings import Settings, to_mapping
+from farfield.stages import Queue, Stage
+
+if TYPE_CHECKING:
+    from farfield.geometry.cells import CellTree
+
+Shard = Any  # a JSON value
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a stage may see. `scene_file` is there for the stage `scene` only."""
+
+    settings: Settings
+    artifacts: Mapping[Stage, Any]  # buffers
+    digests: Mapping[
+        Stage, str
+    ]  # SHA-256 (hex) of each artifact, and of the scene file under Stage.SCENE before it ran
+    scene_file: Path | None = None
+
+    def get(self, stage: Stage) -> Any:
+        """Return the decoded artifact of a stage: its frozen dataclass."""
+        return unpack_dataclass(_model(stage), self.artifacts[stage], where=f"artifact of stage {stage}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One stage: how to ask, cut, run and join it."""
+
+    stage: Stage
+    version: int  # bumped when results change
+    queue: Queue
+    inputs: tuple[Stage, ...]
+    reads: tuple[str, ...]  # the settings it depends on, dotted keys (a table's key stands for all of it)
+    plan: Callable[[Inputs], list[Shard]]
+    run: Callable[[Inputs, Shard], Parts]
+    merge: Callable[[Inputs, Sequence[Any]], Parts] | None = None
+    skip: Callable[[Inputs], str | None] = field(default=lambda inputs: None)
+
+
+def shard_key(step: Step, inputs: Inputs, shard: Shard) -> str:
+    """Return the digest of everything that shapes the shard's artifact. `shard` is "plan" or "merge" for those two.
+
+    A known key means the work is done. The bake's key also holds the renderer, see `_bake_plan`.
+    """
+    read = {key: _setting(inputs.settings, key) for key in step.reads}
+    sources = [Stage.SCENE] if step.stage == Stage.SCENE else list(step.inputs)
+    digests = {str(stage): inputs.digests[stage] for stage in sources}
+    text = json.dumps([step.stage, step.version, read, digests, shard], sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _setting(settings: Settings, key: str) -> Any:
+    value: Any = to_mapping(settings)
+    for part in key.split("."):
+        value = value[part]
+    return value
+
+
+def _model(stage: Stage) -> type:
+    if stage == Stage.SCENE:
+        from farfield.scene.model import Scene as model
+    elif stage == Stage.HIERARCHY:
+        from farfield.hierarchy.model import Hierarchy as model  # type: ignore[assignment]
+    elif stage == Stage.RENDERTIME:
+        from farfield.rendertime.model import CostModel as model  # type: ignore[assignment]
+    elif stage == Stage.VISIBILITY:
+        from farfield.visibility.model import VisibleSets as model  # type: ignore[assignment]
+    elif stage == Stage.VIEWSPACE:
+        from farfield.viewspace.model import ProblemViews as model  # type: ignore[assignment]
+    elif stage == Stage.CANDIDATES:
+        from farfield.candidates.model import Candidates as model  # type: ignore[assignment]
+    elif stage in (Stage.PLACEMENT, Stage.REPAIR):
+        from farfield.placement.model import Placement as model  # type: ignore[assignment]
+    elif stage == Stage.BAKE:
+        from farfield.bake.model import BakedLayers as model  # type: ignore[assignment]
+    else:
+        raise KeyError(stage)
+    return model
+
+
+def cells_of(inputs: Inputs) -> "CellTree":
+    """Return the view-space tree: cheap, a pure function of the scene's view space, so it is no artifact of its own."""
+    from farfield.geometry.cells import build_cells
+
+    scene = inputs.get(Stage.SCENE)
+    return build_cells(scene.view_boxes, scene.cell_m)
+
+
+ONE: list[Shard] = ["all"]
+
+
+def _one(inputs: Inputs) -> list[Shard]:
+    return ONE
+
+
+# 1 scene ---------------------------------------------------------------------------------------------------------------
+
+
+def _scene(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.scene.read import read_scene
+
+    assert inputs.scene_file is not None
+    return dataclass_parts(read_scene(inputs.scene_file, settings=inputs.settings))
+
+
+# 2 hierarchy -----------------------------------------------------------------------------------------------------------
+
+
+def _hierarchy(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.hierarchy.build import build_hierarchy
+
+    return dataclass_parts(build_hierarchy(inputs.get(Stage.SCENE)))
+
+
+# 3 rendertime ----------------------------------------------------------------------------------------------------------
+
+
+def _rendertime(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.rendertime.cost import build_cost_model
+
+    return dataclass_parts(build_cost_model(inputs.get(Stage.SCENE), settings=inputs.settings))
+
+
+# 4 visibility ----------------------------------------------------------------------------------------------------------
+
+
+def _visibility_skip(inputs: Inputs) -> str | None:
+    return "visibility.mode is off: every cell is taken to see every object"
+
+
+def _visibility(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.visibility.model import VisibleSets
+
+    return dataclass_parts(VisibleSets(mode="off", row=np.zeros(0, np.int64), object=np.zeros(0, np.int32)))
+
+
+# 5 viewspace -----------------------------------------------------------------------------------------------------------
+
+
+def _viewspace_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.viewspace.split import plan_subtrees
+
+    return [int(node) for node in plan_subtrees(cells_of(inputs))]
+
+
+def _viewspace(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.viewspace.split import find_problem_views
+
+    views = find_problem_views(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.VISIBILITY),
+        settings=inputs.settings, node=shard,
+    )  # fmt: skip
+    return dataclass_parts(views)
+
+
+def _viewspace_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.viewspace.model import ProblemViews
+    from farfield.viewspace.split import merge_problem_views
+
+    return dataclass_parts(merge_problem_views([unpack_dataclass(ProblemViews, a) for a in artifacts]))
+
+
+def _no_problem(inputs: Inputs) -> str | None:
+    views = inputs.get(Stage.VIEWSPACE)
+    return None if len(views.cell) else "every view is within the budget: nothing to replace"
+
+
+# 6 candidates ----------------------------------------------------------------------------------------------------------
+
+
+def _candidates_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.candidates.generate import plan_shards
+
+    return [[int(a), int(b)] for a, b in plan_shards(inputs.get(Stage.HIERARCHY))]
+
+
+def _candidates(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.candidates.generate import generate
+
+    found = generate(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VIEWSPACE), settings=inputs.settings, nodes=(shard[0], shard[1]),
+    )  # fmt: skip
+    return dataclass_parts(found)
+
+
+def _candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.candidates.generate import merge
+    from farfield.candidates.model import Candidates
+
+    return dataclass_parts(merge([unpack_dataclass(Candidates, a) for a in artifacts]))
+
+
+# 7 placement -----------------------------------------------------------------------------------------------------------
+
+
+def _placement(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.greedy import place
+
+    chosen = place(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), settings=inputs.settings,
+    )  # fmt: skip
+    return dataclass_parts(chosen)
+
+
+# 8 bake ----------------------------------------------------------------------------------------------------------------
+
+
+def _nothing_chosen(inputs: Inputs) -> str | None:
+    return None if len(inputs.get(Stage.PLACEMENT).cluster) else "no impostor was chosen"
+
+
+def _bake_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.bake.bake import plan_batches
+
+    return [[int(a), int(b)] for a, b in plan_batches(inputs.get(Stage.PLACEMENT))]
+
+
+def _bake(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.bake.bake import bake_batch
+
+    baked = bake_batch(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.PLACEMENT),
+        settings=inputs.settings, impostors=(shard[0], shard[1]), renderer="auto",
+    )  # fmt: skip
+    return dataclass_parts(baked)
+
+
+def _bake_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.bake.bake import merge
+    from farfield.bake.model import BakedLayers
+
+    return dataclass_parts(merge([unpack_dataclass(BakedLayers, a) for a in artifacts]))
+
+
+def _repair(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.repair import repair
+
+    baked = inputs.get(Stage.BAKE)
+    mended = repair(
+        inputs.get(Stage.PLACEMENT), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), measured_bytes=baked.bytes, measured_cost=baked.cost,
+        layers=np.diff(baked.layer_row).astype(np.int32),
+    )  # fmt: skip
+    return dataclass_parts(mended)
+
+
+# 9 placementdb ---------------------------------------------------------------------------------------------------------
+
+
+def _placementdb(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placementdb.write import build_files
+    from farfield.scene.write import write_glb
+
+    scene = inputs.get(Stage.SCENE)
+    glb = write_glb(scene)
+    digests = {str(stage): inputs.digests[stage] for stage in (Stage.SCENE, Stage.HIERARCHY, Stage.BAKE, Stage.REPAIR)}
+    digests["scene.glb"] = hashlib.sha256(glb).hexdigest()
+    files = build_files(
+        scene, inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs), inputs.get(Stage.VISIBILITY),
+        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.REPAIR), inputs.get(Stage.BAKE), settings=inputs.settings,
+        digests=digests,
+    )  # fmt: skip
+    return files_parts({"scene.glb": glb, **{f"placement/{name}": content for name, content in files.items()}})
+
+
+# 10 evaluation ---------------------------------------------------------------------------------------------------------
+
+VIEWS_A_SHARD, SHARDS = 500, 4
+
+
+def _evaluation_plan(inputs: Inputs) -> list[Shard]:
+    return [[inputs.settings.seed + i, VIEWS_A_SHARD] for i in range(SHARDS)]
+
+
+def _evaluation(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.evaluation.verify import verify
+
+    with tempfile.TemporaryDirectory(prefix="farfield-") as folder:
+        write_files(inputs.artifacts[Stage.PLACEMENTDB], Path(folder))
+        return pack_parts("verified", {}, verify(Path(folder), views=shard[1], seed=shard[0]))
+
+
+def _evaluation_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    found = [unpack(a)[2] for a in artifacts]
+    worst = max(found, key=lambda f: f["worst_ratio"]) if found else {}
+    counts = {key: sum(f[key] for f in found) for key in ("views", "over_budget")}
+    return pack_parts("verified", {}, {**worst, **counts})
+
+
+def write_files(buffer: Any, folder: Path) -> None:
+    """Write the files of a stage `placementdb` artifact below `folder`: scene.glb and placement/..."""
+    for name, content in unpack_files(buffer, where="artifact of stage placementdb"):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+_S, _H, _R, _V = Stage.SCENE, Stage.HIERARCHY, Stage.RENDERTIME, Stage.VISIBILITY
+_VIEW, _C, _P, _B = Stage.VIEWSPACE, Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE
+_CAMERA, _QUALITY = "camera", "quality"
+
+STEPS: dict[Stage, Step] = {
+    step.stage: step
+    for step in (
+        Step(stage=Stage.SCENE, version=1, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
+             reads=("scene", "view_space.boxes", "view_space.cell_m")),
+        Step(stage=Stage.HIERARCHY, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_hierarchy, reads=()),
+        Step(stage=Stage.RENDERTIME, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_rendertime,
+             reads=("budget", "device", _CAMERA)),
+        Step(stage=Stage.VISIBILITY, version=1, queue=Queue.CPU, inputs=(_S, _H), skip=_visibility_skip, plan=_one,
+             run=lambda inputs, shard: _visibility(inputs, ()), merge=_visibility, reads=("visibility",)),
+        Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,
+             run=_viewspace, merge=_viewspace_merge, reads=(_CAMERA, "view_space.interval_deg")),
+        Step(stage=Stage.CANDIDATES, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
+             plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
+             reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates")),
+        Step(stage=Stage.PLACEMENT, version=1, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C), plan=_one,
+             run=_placement, reads=(_CAMERA, _QUALITY, "placement")),
+        Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen, plan=_bake_plan,
+             run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
+        Step(stage=Stage.REPAIR, version=1, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
+             run=_repair, reads=("placement",)),
+        Step(stage=Stage.PLACEMENTDB, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V, _VIEW, Stage.REPAIR, _B),
+             plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),
+        Step(stage=Stage.EVALUATION, version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=_evaluation_plan,
+             run=_evaluation, merge=_evaluation_merge, reads=("seed",)),
+    )
+}  # fmt: skip
