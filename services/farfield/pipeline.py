@@ -1,19 +1,20 @@
 """The table of contents: every stage once, in order.
 
-A stage is a pure function of content-addressed inputs, cut into shards. Whoever runs the pipeline (the spawned processes
-of `farfield place`, the Celery workers of the service) walks `STEPS` and knows nothing else about any stage:
+A stage is a pure function of content-addressed inputs, cut into shards. Whoever runs the pipeline (the spawned
+processes of `farfield place`, the Celery workers of the service) walks `STEPS` and knows nothing else about any stage:
 
     skip    a reason why this scene does not need the stage, or None; asked first. A skipped stage plans no shards,
             and `merge` of nothing is its (empty) artifact, so that later stages need no special case
     plan    the shards, as JSON values that name content and place, never a worker or how many there are
     run     one shard -> the parts of its artifact (a file of farfield.columns)
-    merge   the shards' artifacts in plan order -> the parts of the stage's artifact; None: the one shard's is the stage's
+    merge   the shards' artifacts in plan order -> the parts of the stage's artifact; None: that of the one shard
 
-All four see the same `Inputs`: the settings and the artifacts of the stages named in `inputs`, as buffers (memory maps).
+All four see the same `Inputs`: the settings and the artifacts of the stages named in `inputs`, as buffers.
 Stages import lazily, so that a process pays only for the stages it runs (the API never imports this module).
 """
 
 import hashlib
+import importlib
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -84,26 +85,22 @@ def _setting(settings: Settings, key: str) -> Any:
     return value
 
 
+_MODELS = {
+    Stage.SCENE: ("scene", "Scene"),
+    Stage.HIERARCHY: ("hierarchy", "Hierarchy"),
+    Stage.RENDERTIME: ("rendertime", "CostModel"),
+    Stage.VISIBILITY: ("visibility", "VisibleSets"),
+    Stage.VIEWSPACE: ("viewspace", "ProblemViews"),
+    Stage.CANDIDATES: ("candidates", "Candidates"),
+    Stage.PLACEMENT: ("placement", "Placement"),
+    Stage.BAKE: ("bake", "BakedLayers"),
+    Stage.REPAIR: ("placement", "Placement"),
+}
+
+
 def _model(stage: Stage) -> type:
-    if stage == Stage.SCENE:
-        from farfield.scene.model import Scene as model
-    elif stage == Stage.HIERARCHY:
-        from farfield.hierarchy.model import Hierarchy as model  # type: ignore[assignment]
-    elif stage == Stage.RENDERTIME:
-        from farfield.rendertime.model import CostModel as model  # type: ignore[assignment]
-    elif stage == Stage.VISIBILITY:
-        from farfield.visibility.model import VisibleSets as model  # type: ignore[assignment]
-    elif stage == Stage.VIEWSPACE:
-        from farfield.viewspace.model import ProblemViews as model  # type: ignore[assignment]
-    elif stage == Stage.CANDIDATES:
-        from farfield.candidates.model import Candidates as model  # type: ignore[assignment]
-    elif stage in (Stage.PLACEMENT, Stage.REPAIR):
-        from farfield.placement.model import Placement as model  # type: ignore[assignment]
-    elif stage == Stage.BAKE:
-        from farfield.bake.model import BakedLayers as model  # type: ignore[assignment]
-    else:
-        raise KeyError(stage)
-    return model
+    folder, name = _MODELS[stage]
+    return getattr(importlib.import_module(f"farfield.{folder}.model"), name)
 
 
 def cells_of(inputs: Inputs) -> "CellTree":
@@ -121,7 +118,7 @@ def _one(inputs: Inputs) -> list[Shard]:
     return ONE
 
 
-# 1 scene ---------------------------------------------------------------------------------------------------------------
+# 1 scene ------------------------------------------------------------------------------------------------------------
 
 
 def _scene(inputs: Inputs, shard: Shard) -> Parts:
@@ -131,7 +128,7 @@ def _scene(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(read_scene(inputs.scene_file, settings=inputs.settings))
 
 
-# 2 hierarchy -----------------------------------------------------------------------------------------------------------
+# 2 hierarchy --------------------------------------------------------------------------------------------------------
 
 
 def _hierarchy(inputs: Inputs, shard: Shard) -> Parts:
@@ -140,7 +137,7 @@ def _hierarchy(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(build_hierarchy(inputs.get(Stage.SCENE)))
 
 
-# 3 rendertime ----------------------------------------------------------------------------------------------------------
+# 3 rendertime -------------------------------------------------------------------------------------------------------
 
 
 def _rendertime(inputs: Inputs, shard: Shard) -> Parts:
@@ -149,7 +146,7 @@ def _rendertime(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(build_cost_model(inputs.get(Stage.SCENE), settings=inputs.settings))
 
 
-# 4 visibility ----------------------------------------------------------------------------------------------------------
+# 4 visibility -------------------------------------------------------------------------------------------------------
 
 
 def _visibility_skip(inputs: Inputs) -> str | None:
@@ -162,7 +159,7 @@ def _visibility(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
     return dataclass_parts(VisibleSets(mode="off", row=np.zeros(0, np.int64), object=np.zeros(0, np.int32)))
 
 
-# 5 viewspace -----------------------------------------------------------------------------------------------------------
+# 5 viewspace --------------------------------------------------------------------------------------------------------
 
 
 def _viewspace_plan(inputs: Inputs) -> list[Shard]:
@@ -175,8 +172,8 @@ def _viewspace(inputs: Inputs, shard: Shard) -> Parts:
     from farfield.viewspace.split import find_problem_views
 
     views = find_problem_views(
-        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.VISIBILITY),
-        settings=inputs.settings, node=shard,
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME),
+        inputs.get(Stage.VISIBILITY), settings=inputs.settings, node=shard,
     )  # fmt: skip
     return dataclass_parts(views)
 
@@ -193,7 +190,7 @@ def _no_problem(inputs: Inputs) -> str | None:
     return None if len(views.cell) else "every view is within the budget: nothing to replace"
 
 
-# 6 candidates ----------------------------------------------------------------------------------------------------------
+# 6 candidates -------------------------------------------------------------------------------------------------------
 
 
 def _candidates_plan(inputs: Inputs) -> list[Shard]:
@@ -219,7 +216,7 @@ def _candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
     return dataclass_parts(merge([unpack_dataclass(Candidates, a) for a in artifacts]))
 
 
-# 7 placement -----------------------------------------------------------------------------------------------------------
+# 7 placement --------------------------------------------------------------------------------------------------------
 
 
 def _placement(inputs: Inputs, shard: Shard) -> Parts:
@@ -232,7 +229,7 @@ def _placement(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(chosen)
 
 
-# 8 bake ----------------------------------------------------------------------------------------------------------------
+# 8 bake -------------------------------------------------------------------------------------------------------------
 
 
 def _nothing_chosen(inputs: Inputs) -> str | None:
@@ -274,7 +271,7 @@ def _repair(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(mended)
 
 
-# 9 placementdb ---------------------------------------------------------------------------------------------------------
+# 9 placementdb ------------------------------------------------------------------------------------------------------
 
 
 def _placementdb(inputs: Inputs, shard: Shard) -> Parts:
@@ -286,14 +283,14 @@ def _placementdb(inputs: Inputs, shard: Shard) -> Parts:
     digests = {str(stage): inputs.digests[stage] for stage in (Stage.SCENE, Stage.HIERARCHY, Stage.BAKE, Stage.REPAIR)}
     digests["scene.glb"] = hashlib.sha256(glb).hexdigest()
     files = build_files(
-        scene, inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs), inputs.get(Stage.VISIBILITY),
-        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.REPAIR), inputs.get(Stage.BAKE), settings=inputs.settings,
-        digests=digests,
+        scene, inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VISIBILITY), inputs.get(Stage.VIEWSPACE), inputs.get(Stage.REPAIR), inputs.get(Stage.BAKE),
+        settings=inputs.settings, digests=digests,
     )  # fmt: skip
     return files_parts({"scene.glb": glb, **{f"placement/{name}": content for name, content in files.items()}})
 
 
-# 10 evaluation ---------------------------------------------------------------------------------------------------------
+# 10 evaluation ------------------------------------------------------------------------------------------------------
 
 VIEWS_A_SHARD, SHARDS = 500, 4
 
@@ -346,8 +343,8 @@ STEPS: dict[Stage, Step] = {
              reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates")),
         Step(stage=Stage.PLACEMENT, version=1, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C), plan=_one,
              run=_placement, reads=(_CAMERA, _QUALITY, "placement")),
-        Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen, plan=_bake_plan,
-             run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
+        Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
+             plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
         Step(stage=Stage.REPAIR, version=1, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
         Step(stage=Stage.PLACEMENTDB, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V, _VIEW, Stage.REPAIR, _B),

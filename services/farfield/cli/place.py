@@ -1,0 +1,109 @@
+"""`farfield place SCENE --out DIR`: the whole job on this machine, without broker or database."""
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from farfield.errors import FarfieldError, SceneUnreadable, SettingsInvalid
+from farfield.executor import Executor
+from farfield.pipeline import write_files
+from farfield.settings import Settings, check, from_mapping
+from farfield.stages import Stage
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("place", help="place, bake and verify impostors for a level")
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="glTF, GLB, OBJ, PLY, STL, or a zip of one of these")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="writes DIR/placement, DIR/scene.glb, DIR/report.json"
+    )
+    parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="settings (docs/settings.md)")
+    parser.add_argument("--budget", help='"16 ms", "300 calls" or "200000 triangles"; wins over the file')
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the report as JSON and nothing else")
+    parser.set_defaults(run=run)
+
+
+def load_settings(path: Path | None, budget: str | None) -> Settings:
+    """Return checked settings from a TOML file (or defaults) and an overriding budget. Raises SettingsInvalid."""
+    settings = Settings()
+    if path is not None:
+        try:
+            settings = from_mapping(tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise SettingsInvalid("--settings", f"{path} cannot be read: {error}") from error
+    if budget is not None:
+        settings = replace(settings, budget=budget)
+    check(settings)
+    return settings
+
+
+def run(args: argparse.Namespace) -> int:
+    """Place the level; exit 0 when the placement is valid, 4 when it is done but not valid."""
+    from farfield.evaluation.report import build_report
+
+    if args.workers < 1:
+        raise SettingsInvalid("--workers", "must be at least 1")
+    settings = load_settings(args.settings, args.budget)
+    if not args.scene.is_file():
+        raise SceneUnreadable(f"{args.scene} is not a file")
+    work = args.out / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    console = Console(stderr=True, quiet=args.json)
+    columns = (
+        TextColumn("{task.description:12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    try:
+        with Progress(*columns, console=console) as bars:
+            tasks = {stage: bars.add_task(stage, total=None, start=False, note="") for stage in Stage}
+
+            def show(stage: Stage, done: int, total: int, skipped: str | None) -> None:
+                bars.update(
+                    tasks[stage], completed=done, total=max(total, 1), note=f"skipped: {skipped}" if skipped else ""
+                )
+
+            with Executor(args.scene, settings, work, workers=args.workers, progress=show) as executor:
+                for stage in Stage:
+                    bars.start_task(tasks[stage])
+                    try:
+                        executor.run(stage)
+                    except FarfieldError:
+                        raise
+                    except Exception:
+                        # The placement stands without its evaluation, as `unproven`; anything else is a defect.
+                        if stage != Stage.EVALUATION:
+                            raise
+                        console.print_exception()
+                    bars.update(tasks[stage], total=1, completed=1)
+                    bars.stop_task(tasks[stage])
+                report = build_report(executor.inputs(*executor.paths.artifacts), executor.stages)
+                for old in (args.out / "placement", args.out / "scene.glb", args.out / "report.json"):
+                    shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)
+                write_files(executor.artifact(Stage.PLACEMENTDB), args.out)
+        (args.out / "report.json").write_text(json.dumps(report, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    if args.json:
+        json.dump(report, sys.stdout)
+        print()
+    else:
+        from farfield.cli.report import show_report
+
+        show_report(report)
+    return 0 if report["verdict"] == "valid" else 4
