@@ -1,8 +1,8 @@
 """A small made-up town as a Scene, for tests that need objects rather than a file: boxes on streets, seeded."""
 
 import numpy as np
-
 from farfield.scene.model import Scene
+from farfield.scene.order import object_order
 
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
 _FACES = np.array(
@@ -10,21 +10,19 @@ _FACES = np.array(
      [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]], dtype=np.int32)  # fmt: skip
 
 
-def _morton(points: np.ndarray, spacing: float) -> np.ndarray:
-    grid = np.floor((points - points.min(0)) / spacing).astype(np.uint64)
-    key = np.zeros(len(points), dtype=np.uint64)
-    for bit in range(16):
-        for axis in range(3):
-            key |= ((grid[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + 2 - axis)
-    return key
-
-
 def town(
-    n: int = 400, *, seed: int = 0, block_m: float = 12.0, cell_m: float = 16.0, view_m: float = 64.0, triangles: int = 12
+    n: int = 400,
+    *,
+    seed: int = 0,
+    block_m: float = 12.0,
+    cell_m: float = 16.0,
+    view_m: float = 64.0,
+    triangles: int = 12,
 ) -> Scene:
     """Return a Scene of n axis-aligned houses on a square raster of blocks, the view space a 2 m band over its middle.
 
-    `triangles` a house is 12 times a whole number: the twelve faces repeated, so that triangle budgets have something to spend on.
+    `triangles` a house is 12 times a whole number: the twelve faces repeated, so that triangle budgets have something
+    to spend on.
     """
     rng = np.random.default_rng(seed)
     side = int(np.ceil(np.sqrt(n)))
@@ -32,7 +30,9 @@ def town(
     size = np.stack([rng.uniform(4, 8, n), rng.uniform(4, 25, n), rng.uniform(4, 8, n)], -1)
     low = np.zeros((n, 3))
     low[:, [0, 2]] = (raster - side / 2) * block_m + rng.uniform(0, 3, (n, 2))
-    order = np.argsort(_morton(low + size / 2, cell_m / 4), kind="stable")
+    ones = np.ones(n, dtype=np.int64)
+    boxes = np.stack([low, low + size.astype(np.float32)], 1)
+    order = object_order(boxes, triangles=ones, calls=ones, origin_m=np.zeros(3), cell_m=cell_m)
     low, size = low[order], size[order]
     faces = np.tile(_FACES, (max(1, triangles // 12), 1))
     position = np.concatenate([_CORNERS * s for s in size]).astype(np.float32)

@@ -1,1 +1,1 @@
-"""Scene file -> Scene: positions, indices, materials and objects as columns, on the fixed grid, in their final order."""
+"""Scene file -> Scene: positions, indices, materials, objects as columns, on the fixed grid, in final order."""

@@ -12,7 +12,7 @@ class Scene:
     """A static level: M meshes, N objects (placed meshes), K materials, X textures.
 
     Object ids are final: objects stand in depth-first order of the hierarchy (Morton order on the fixed grid, ties by
-    box corners, triangles, calls), so that a cluster is a range of ids. All coordinates but `origin_m` are metres, y up,
+    box corners, triangles, calls): a cluster is a range of ids. All coordinates but `origin_m` are metres, y up,
     right-handed, relative to `origin_m`, a point of the fixed grid. Public ("scene") coordinates = these + origin_m.
     """
 
