@@ -14,15 +14,16 @@ PACKAGE = ROOT / "services" / "farfield"
 PAGE = ROOT / "docs" / "data-model.md"
 MODELS = (
     ("scene", "scene/model.py"), ("hierarchy", "hierarchy/model.py"), ("rendertime", "rendertime/model.py"),
-    ("view-space tree", "geometry/cells.py"), ("visibility", "visibility/model.py"), ("viewspace", "viewspace/model.py"),
+    ("view-space tree", "geometry/cells.py"), ("visibility", "visibility/model.py"),
+    ("viewspace", "viewspace/model.py"),
     ("candidates", "candidates/model.py"), ("placement, repair", "placement/model.py"), ("bake", "bake/model.py"),
 )  # fmt: skip
 HEAD = """# Data model
 
 What each stage hands to the next: frozen dataclasses of numpy columns, stored as one file each in the container of
 [`farfield/columns.py`](../services/farfield/columns.py). Ids are integers, null is -1, ranges are half-open, lists of
-variable length are CSR (entries of row i are `[row[i], row[i+1])`). Lengths are metres relative to the scene's `origin_m`
-unless a line says otherwise. What the viewer reads is described in [formats/placementdb.md](formats/placementdb.md).
+variable length are CSR (entries of row i are `[row[i], row[i+1])`). Lengths are metres relative to the scene's
+`origin_m` unless a line says otherwise. What the viewer reads is described in [formats/placementdb.md](formats/placementdb.md).
 
 This page is written by `python infra/docs/data_model.py` from the code.
 """
@@ -37,9 +38,8 @@ def tables(name: str, path: str) -> str:
         if not isinstance(node, ast.ClassDef) or not any(isinstance(s, ast.AnnAssign) for s in node.body):
             continue
         doc = "\n".join(line.strip() for line in (ast.get_docstring(node) or "").splitlines())
-        out.append(
-            f"[`{node.name}`](../services/farfield/{path}) {doc}\n\n| column | type and shape | meaning |\n|---|---|---|"
-        )
+        out.append(f"[`{node.name}`](../services/farfield/{path}) {doc}\n")
+        out.append("| column | type and shape | meaning |\n|---|---|---|")
         pending = ""
         for i in range(node.lineno, node.end_lineno or 0):
             line = lines[i].strip()
