@@ -23,7 +23,8 @@ HEAD = """# Data model
 What each stage hands to the next: frozen dataclasses of numpy columns, stored as one file each in the container of
 [`farfield/columns.py`](../services/farfield/columns.py). Ids are integers, null is -1, ranges are half-open, lists of
 variable length are CSR (entries of row i are `[row[i], row[i+1])`). Lengths are metres relative to the scene's
-`origin_m` unless a line says otherwise. What the viewer reads is described in [formats/placementdb.md](formats/placementdb.md).
+`origin_m` unless a line says otherwise. What the viewer reads is described in
+[formats/placementdb.md](formats/placementdb.md).
 
 This page is written by `python infra/docs/data_model.py` from the code.
 """

@@ -7,9 +7,15 @@ from farfield.settings import Budget, Settings, from_mapping, parse_budget, to_m
 
 @pytest.mark.parametrize(
     "text, budget",
-    [("16 ms", Budget("ns", 16_000_000)), ("300 calls", Budget("calls", 300)), ("200000 triangles", Budget("triangles", 200_000)),
-     ("16.5ms", Budget("ns", 16_500_000)), ("1 call", Budget("calls", 1)), ("0 ms", Budget("ns", 0))],
-)  # fmt: skip
+    [
+        ("16 ms", Budget("ns", 16_000_000)),
+        ("300 calls", Budget("calls", 300)),
+        ("200000 triangles", Budget("triangles", 200_000)),
+        ("16.5ms", Budget("ns", 16_500_000)),
+        ("1 call", Budget("calls", 1)),
+        ("0 ms", Budget("ns", 0)),
+    ],
+)
 def test_budgets_are_whole_numbers_of_their_unit(text, budget):
     assert parse_budget(text) == budget
 
@@ -31,13 +37,23 @@ def test_settings_come_back_as_they_went():
 
 @pytest.mark.parametrize(
     "values, key",
-    [({"nonsense": 1}, "nonsense"), ({"camera": {"fov_deg": 0}}, "camera.fov_deg"), ({"camera": {"width": 1.5}}, "camera.width"),
-     ({"camera": 3}, "camera"), ({"seed": -1}, "seed"), ({"seed": True}, "seed"), ({"scene": {"up": "x"}}, "scene.up"),
-     ({"view_space": {"interval_deg": 10}}, "view_space.interval_deg"), ({"view_space": {"boxes": []}}, "view_space.boxes"),
-     ({"view_space": {"boxes": [[[0, 0, 0], [1, -1, 1]]]}}, "view_space.boxes\\[0\\]"),
-     ({"view_space": {"boxes": [[[0, 0], [1, 1]]]}}, "view_space.boxes"), ({"view_space": {"cell_m": float("inf")}}, "cell_m"),
-     ({"quality": {"pixel_error": 0}}, "quality.pixel_error"), ({"placement": {"assignment": "best"}}, "placement.assignment")],
-)  # fmt: skip
+    [
+        ({"nonsense": 1}, "nonsense"),
+        ({"camera": {"fov_deg": 0}}, "camera.fov_deg"),
+        ({"camera": {"width": 1.5}}, "camera.width"),
+        ({"camera": 3}, "camera"),
+        ({"seed": -1}, "seed"),
+        ({"seed": True}, "seed"),
+        ({"scene": {"up": "x"}}, "scene.up"),
+        ({"view_space": {"interval_deg": 10}}, "view_space.interval_deg"),
+        ({"view_space": {"boxes": []}}, "view_space.boxes"),
+        ({"view_space": {"boxes": [[[0, 0, 0], [1, -1, 1]]]}}, "view_space.boxes\\[0\\]"),
+        ({"view_space": {"boxes": [[[0, 0], [1, 1]]]}}, "view_space.boxes"),
+        ({"view_space": {"cell_m": float("inf")}}, "cell_m"),
+        ({"quality": {"pixel_error": 0}}, "quality.pixel_error"),
+        ({"placement": {"assignment": "best"}}, "placement.assignment"),
+    ],
+)
 def test_a_value_out_of_range_is_refused_with_its_key(values, key):
     with pytest.raises(SettingsInvalid, match=key):
         from_mapping(values)
