@@ -8,6 +8,11 @@
     │   ├── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered
     │   └── (others in this file)
     ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
+    ├── StoreError            a row or blob of the service
+    │   ├── SceneNotFound, JobNotFound, PlacementNotFound                        exit 3, HTTP 404
+    │   ├── JobNotFinished, JobStillRunning, IdempotencyConflict                 exit 3, HTTP 409
+    │   └── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
+    ├── ServiceError          the service cannot start, or does not answer       exit 3
     └── StageFailed           a shard failed for good                                exit 1, HTTP 500
 
 Each message says what is wrong, where, and what to do. `code` is the stable name that the API and `--json` show.
@@ -128,6 +133,74 @@ class OutsideViewSpace(FarfieldError):
     """The camera position lies outside the view space of the placement."""
 
     advice = "Clamp the camera to the boxes in the manifest's view_space."
+
+
+class StoreError(FarfieldError):
+    """A row or blob of the service."""
+
+
+class SceneNotFound(StoreError):
+    advice = "Upload the scene first: POST /v1/scenes."
+
+    def __init__(self, digest: str) -> None:
+        super().__init__(f"no scene {digest} has been uploaded")
+        self.digest = digest
+
+
+class JobNotFound(StoreError):
+    advice = "List the jobs with GET /v1/jobs."
+
+    def __init__(self, job: str) -> None:
+        super().__init__(f"there is no job {job}")
+        self.job = job
+
+
+class PlacementNotFound(StoreError):
+    advice = "See whether the job is done: GET /v1/jobs/{id}."
+
+    def __init__(self, placement: str, path: str = "") -> None:
+        super().__init__(f"there is no {path} in placement {placement}" if path else f"there is no placement {placement}")
+        self.placement = placement
+
+
+class JobNotFinished(StoreError):
+    """What was asked for is there only once the job is done."""
+
+    advice = "Wait for the job's last event, then ask again."
+
+    def __init__(self, job: str, state: str) -> None:
+        super().__init__(f"job {job} is {state}: it has no result yet")
+        self.job, self.state = job, state
+
+
+class JobStillRunning(StoreError):
+    advice = "Cancel the job first: POST /v1/jobs/{id}/cancel."
+
+    def __init__(self, job: str, state: str) -> None:
+        super().__init__(f"job {job} is {state}")
+        self.job, self.state = job, state
+
+
+class IdempotencyConflict(StoreError):
+    advice = "Use a new Idempotency-Key for a new request."
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"the Idempotency-Key {key} was used for a different request")
+        self.key = key
+
+
+class ArtifactMissing(StoreError):
+    """A blob that should be there is not; it can be computed again."""
+
+    advice = "Run the job again."
+
+    def __init__(self, digest: str) -> None:
+        super().__init__(f"artifact {digest[:64]} is not in the store")
+        self.digest = digest
+
+
+class ServiceError(FarfieldError):
+    """The service cannot start, or does not answer."""
 
 
 class StageFailed(FarfieldError):

@@ -1,1 +1,1 @@
-"""The only package with SQL and blobs: tables, repositories, artifacts by digest."""
+"""Rows and blobs in, rows and blobs out: the only package with SQL, and the artifacts under their digests."""
