@@ -75,14 +75,14 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _reset_peak() -> None:
+def reset_peak() -> None:
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:  # not Linux, or not allowed: the peak is then that of the process so far
         return
 
 
-def _peak_bytes() -> int:
+def peak_bytes() -> int:
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
@@ -90,27 +90,27 @@ def _peak_bytes() -> int:
 
 
 def _plan(stage: Stage, paths: _Paths) -> tuple[str | None, list[Shard], int]:
-    _reset_peak()
+    reset_peak()
     step = STEPS[stage]
     inputs = paths.inputs(step)
     reason = step.skip(inputs)
     shards = [] if reason else step.plan(inputs)
-    return reason, json.loads(json.dumps(shards)), _peak_bytes()
+    return reason, json.loads(json.dumps(shards)), peak_bytes()
 
 
 def _run(stage: Stage, paths: _Paths, shard: Shard, out: Path) -> int:
-    _reset_peak()
+    reset_peak()
     step = STEPS[stage]
     write_parts(step.run(paths.inputs(step), shard), out)
-    return _peak_bytes()
+    return peak_bytes()
 
 
 def _merge(stage: Stage, paths: _Paths, pieces: list[Path], out: Path) -> int:
-    _reset_peak()
+    reset_peak()
     step = STEPS[stage]
     assert step.merge is not None
     write_parts(step.merge(paths.inputs(step), [map_file(piece) for piece in pieces]), out)
-    return _peak_bytes()
+    return peak_bytes()
 
 
 class Executor:

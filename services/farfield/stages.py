@@ -25,3 +25,6 @@ class Queue(StrEnum):
     CPU = "cpu"
     OPTIMIZER = "optimizer"
     GL = "gl"
+
+
+RUN_SHARD = "farfield.run_shard"  # the one task: its message carries a shard id and nothing else

@@ -1,1 +1,1 @@
-"""Celery workers of farfield: a thin shell that runs the shards of `farfield.pipeline`."""
+"""Shards in, artifacts out: the Celery shell around the pipeline, the reconciler, the launcher of `farfield serve`."""

@@ -1,0 +1,149 @@
+"""One shard as a function of files: inputs mapped, result written and hashed. Also a program, for the isolated stages.
+
+`python -m farfield_workers.compute` reads a call as JSON on stdin, sets its own limits on memory, time and file size,
+and prints the outcome as JSON: a crash or an endless loop in a decoder costs this process and one job.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import farfield.errors
+from farfield.errors import FarfieldError, StageFailed
+from farfield.executor import StageRun, map_file, peak_bytes, reset_peak
+from farfield.pipeline import Inputs
+from farfield.settings import from_mapping
+from farfield.stages import Stage
+
+from farfield_workers.table import Pipeline, load_pipeline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """A shard with all it reads. Plain values: it travels as JSON."""
+
+    stage: str
+    kind: str  # plan, run, merge or report
+    params: Any
+    settings: Mapping[str, Any]
+    scene_file: str
+    artifacts: Mapping[str, str]  # stage -> path
+    digests: Mapping[str, str]  # stage -> SHA-256
+    pieces: Sequence[str]  # paths
+    outcomes: Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    digest: str
+    n_bytes: int
+    peak_bytes: int
+
+
+class FailedElsewhere(FarfieldError):
+    """A named error of the isolated process, with its name and advice."""
+
+    def __init__(self, code: str, message: str, advice: str) -> None:
+        super().__init__(message)
+        self._code, self.advice = code, advice
+
+    @property
+    def code(self) -> str:
+        return self._code
+
+
+def inputs_of(call: Call, *, mapped: bool) -> Inputs:
+    """Return what the stage sees; without its artifacts where only the key is wanted."""
+    artifacts = {Stage(s): map_file(Path(path)) for s, path in call.artifacts.items()} if mapped else {}
+    digests = {Stage(s): digest for s, digest in call.digests.items()}
+    return Inputs(from_mapping(call.settings), artifacts, digests, Path(call.scene_file))
+
+
+def compute(pipeline: Pipeline, call: Call, out: Path) -> Result:
+    """Run the shard and write its artifact to `out`. Raises what the stage raises."""
+    reset_peak()
+    inputs = inputs_of(call, mapped=True)
+    parts: Sequence[bytes | memoryview]
+    if call.kind == "report":
+        runs = [StageRun(**{k: v for k, v in o.items() if k != "state"}) for o in call.outcomes]
+        parts = [json.dumps(pipeline.report(inputs, runs), sort_keys=True, indent=1).encode() + b"\n"]
+    else:
+        step = pipeline.steps[Stage(call.stage)]
+        if call.kind == "plan":
+            reason = step.skip(inputs)
+            plan = {"skip": reason, "shards": [] if reason else step.plan(inputs)}
+            parts = [json.dumps(plan, sort_keys=True).encode()]
+        elif call.kind == "merge":
+            if step.merge is None:
+                raise StageFailed(call.stage, "it was skipped, but says no empty result")
+            parts = step.merge(inputs, [map_file(Path(piece)) for piece in call.pieces])
+        else:
+            parts = step.run(inputs, call.params)
+    digest, n_bytes = hashlib.sha256(), 0
+    with out.open("wb") as file:
+        for part in parts:
+            digest.update(part)
+            n_bytes += file.write(part)
+    return Result(digest.hexdigest(), n_bytes, peak_bytes())
+
+
+def compute_isolated(pipeline_name: str, call: Call, out: Path, *, memory_bytes: int, seconds: int) -> Result:
+    """Do what `compute` does in a process of its own with these limits. Raises FailedElsewhere, StageFailed."""
+    order = {"pipeline": pipeline_name, "call": asdict(call), "out": str(out), "memory_bytes": memory_bytes}
+    command = [sys.executable, "-m", "farfield_workers.compute"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True) as child:
+        try:
+            answer, _ = child.communicate(json.dumps({**order, "seconds": seconds}).encode(), timeout=seconds)
+        except subprocess.TimeoutExpired:
+            raise FailedElsewhere(
+                "SceneOverLimit", f"reading the scene took more than {seconds} s",
+                farfield.errors.SceneOverLimit.advice,
+            ) from None  # fmt: skip
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+    try:
+        told = json.loads(answer)
+    except ValueError:
+        raise StageFailed(call.stage, f"its process ended with status {child.returncode}") from None
+    if "error" in told:
+        raise FailedElsewhere(**told["error"])
+    return Result(**told)
+
+
+def main() -> int:
+    order = json.load(sys.stdin)
+    limits = {
+        resource.RLIMIT_AS: order["memory_bytes"],
+        resource.RLIMIT_CPU: order["seconds"],
+        resource.RLIMIT_FSIZE: order["memory_bytes"],
+        resource.RLIMIT_CORE: 0,
+    }
+    for what, limit in limits.items():
+        resource.setrlimit(what, (limit, limit))
+    call = Call(**order["call"])
+    # What a decoder prints must not mix with our answer.
+    answer, sys.stdout = sys.stdout, sys.stderr
+    told: dict[str, Any]
+    try:
+        told = asdict(compute(load_pipeline(order["pipeline"]), call, Path(order["out"])))
+    except FarfieldError as error:
+        told = {"error": {"code": error.code, "message": str(error), "advice": error.advice}}
+    except MemoryError:
+        advice = farfield.errors.SceneOverLimit.advice
+        told = {"error": {"code": "SceneOverLimit", "message": "the scene needs too much memory", "advice": advice}}
+    json.dump(told, answer)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""What a worker, the reconciler and the launcher read from the environment."""
+
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+THE_PIPELINE = "farfield_workers.table:PIPELINE"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerSettings:
+    """Addresses and limits of one worker process."""
+
+    database_url: str
+    broker_url: str
+    artifacts: Path
+    worker: str  # our name in the table `shard`
+    pipeline: str  # module:attribute
+    lease_s: float
+    renew_s: float  # how often a lease is renewed, and how soon a cancel is noticed
+    scene_memory_bytes: int  # address space of the process that parses a scene
+    scene_seconds: int
+
+
+def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSettings:
+    """Return the settings that the variables FARFIELD_* give."""
+    return WorkerSettings(
+        database_url=environment["FARFIELD_DATABASE_URL"],
+        broker_url=environment["FARFIELD_BROKER_URL"],
+        artifacts=Path(environment["FARFIELD_ARTIFACTS"]),
+        worker=environment.get("FARFIELD_WORKER", f"{socket.gethostname()}:{os.getpid()}"),
+        pipeline=environment.get("FARFIELD_PIPELINE", THE_PIPELINE),
+        lease_s=float(environment.get("FARFIELD_LEASE_S", 60)),
+        renew_s=float(environment.get("FARFIELD_RENEW_S", 5)),
+        scene_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
+        scene_seconds=int(environment.get("FARFIELD_SCENE_SECONDS", 900)),
+    )
