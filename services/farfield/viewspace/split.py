@@ -1,0 +1,170 @@
+"""Find the problem views: leaf cells and smallest direction intervals whose enclosing frusta cost more than the target.
+
+Problem  A camera anywhere in the view space, looking anywhere, must not be shown more than the target. Which (cell,
+         interval) pairs may break that, and with which objects? Miss none; name few too many.
+Method   Down the view-space tree, then for each leaf cell the whole sphere, six faces, and a quadtree of intervals down to
+         the smallest. A node whose enclosing frusta cost at most the target is done: everything below it costs less. Only
+         the objects that a node accepts are looked at below it. What an object costs depends on the cell alone.
+Errs     upwards: enclosing frusta accept a few objects that no view shows (farfield.geometry.frusta), and pixels are
+         counted from the nearest point of the cell (farfield.rendertime.cost). No concrete view costs more than its bound.
+Shards   Subtrees of the view-space tree, cut by a rule that knows nothing of workers; cells do not depend on each other.
+After    Jeschke et al., Automatic Impostor Placement for Guaranteed Frame Rates, I3D 2005, section 3.
+"""
+
+import math
+
+import numpy as np
+
+from farfield.geometry.camera import Camera
+from farfield.geometry.cells import CellTree, build_cells
+from farfield.geometry.frusta import enclosing_frusta
+from farfield.hierarchy.model import Hierarchy
+from farfield.rendertime.cost import object_cost
+from farfield.rendertime.model import CostModel
+from farfield.scene.model import Scene
+from farfield.settings import Settings
+from farfield.viewspace import kernels
+from farfield.viewspace.model import ProblemViews
+from farfield.visibility.model import VisibleSets
+
+SHARDS = 32  # about as many subtrees, unless that makes a shard smaller or larger than
+CELLS_A_SHARD = (8, 64)  # ... these: starting one costs a second, and its entries should stay within some 100 MB
+
+
+def plan_subtrees(cells: CellTree) -> list[int]:
+    """Return the nodes whose subtrees are the shards, in preorder: together they hold every leaf cell once."""
+    low, high = CELLS_A_SHARD
+    most = min(high, max(low, math.ceil(cells.n_cells / SHARDS)))
+    chosen, stack = [], [0]
+    while stack:
+        node = stack.pop()
+        if cells.stop[node] - cells.start[node] <= most:
+            chosen.append(node)
+        else:
+            stack += [int(cells.high[node]), int(cells.low[node])]
+    return chosen
+
+
+def find_problem_views(
+    scene: Scene, hierarchy: Hierarchy, model: CostModel, visible: VisibleSets, *, settings: Settings, node: int
+) -> ProblemViews:
+    """Return the problem views of the leaf cells under `node` of the view-space tree.
+
+    node  a node of build_cells(scene.view_boxes, scene.cell_m); 0 is all of it
+    `cell_cost` has a row for every leaf cell of the tree, 0 outside the node. `worst_nonproblem` and `cell_cost` hold
+    bounds of the nodes where the descent stopped, so they depend on where it began: on `plan_subtrees`, nothing else.
+    """
+    cells = build_cells(scene.view_boxes, scene.cell_m)
+    search = _Search(scene, model, visible, settings)
+    cell_cost = np.zeros(cells.n_cells, dtype=np.int64)
+    found: list[_CellViews] = []
+    worst_nonproblem = 0
+    fixed = int(model.object_fixed.sum())
+    stack = [node]
+    while stack:
+        here = stack.pop()
+        leaves = slice(cells.start[here], cells.stop[here])
+        # Pixels only add to the fixed costs, so a node with more than the target in these is not worth the sum.
+        whole = int(object_cost(model, scene.object_box, cells.box[here]).sum()) if fixed <= model.target else fixed
+        if whole <= model.target:
+            cell_cost[leaves] = whole
+            worst_nonproblem = max(worst_nonproblem, whole)
+        elif cells.axis[here] >= 0:
+            stack += [int(cells.high[here]), int(cells.low[here])]
+        else:
+            cell = int(cells.start[here])
+            views, worst, within = search.cell(cell, cells.box[here])
+            cell_cost[cell], worst_nonproblem = worst, max(worst_nonproblem, within)
+            if len(views.cost):
+                found.append(views)
+    return _concatenate(found, cell_cost, worst_nonproblem)
+
+
+def merge_problem_views(parts: list[ProblemViews]) -> ProblemViews:
+    """Return the problem views of all shards, sorted by (cell, interval). `parts` in any order; at least one."""
+    assert parts
+    held = sorted((p for p in parts if len(p.cell)), key=lambda p: int(p.cell[0]))
+    assert all(a.cell[-1] < b.cell[0] for a, b in zip(held, held[1:])), "shards overlap"
+    cell_cost = np.max([p.cell_cost for p in parts], axis=0)
+    return _concatenate(held, cell_cost, max(p.worst_nonproblem for p in parts))
+
+
+def summary(views: ProblemViews) -> dict[str, int]:
+    """Return what the report says of the problem views: counts, and costs in the model's unit."""
+    return {
+        "problem_views": len(views.cell),
+        "problem_cells": len(np.unique(views.cell)),
+        "cells": len(views.cell_cost),
+        "visible_incidences": len(views.object),
+        "most_objects_in_a_view": int(np.diff(views.row).max(initial=0)),
+        "worst_cost": int(views.cell_cost.max(initial=0)),
+        "worst_nonproblem": int(views.worst_nonproblem),
+    }
+
+
+class _CellViews:
+    """Problem views of one cell: the columns of ProblemViews, row from 0."""
+
+    def __init__(self, cell: int, views: np.ndarray, entries: np.ndarray, cost: np.ndarray) -> None:
+        views = views[np.argsort(views[:, 0], kind="stable")]
+        total = int((views[:, 3] - views[:, 2]).sum())
+        self.cell = np.full(len(views), cell, dtype=np.int32)
+        self.interval = views[:, 0].astype(np.int32)
+        self.cost = views[:, 1].copy()
+        self.row = np.zeros(len(views) + 1, dtype=np.int64)
+        self.object = np.empty(total, dtype=np.int32)
+        self.before = np.empty(total, dtype=np.int64)
+        kernels.gather(views, entries, cost, self.row, self.object, self.before)
+
+
+class _Search:
+    """One shard's arrays, and its scratch space that grows to the largest cell."""
+
+    def __init__(self, scene: Scene, model: CostModel, visible: VisibleSets, settings: Settings) -> None:
+        camera = Camera(fov_deg=model.fov_deg, width=model.width, height=model.height)
+        self.n = round(90 / settings.view_space.interval_deg)
+        self.frusta = enclosing_frusta(self.n, camera)
+        self.model, self.visible, self.boxes = model, visible, scene.object_box
+        n_objects = scene.n_objects
+        self.seen = np.empty((7, n_objects))
+        self.lists = np.empty((self.n.bit_length() + 1, n_objects), dtype=np.int32)
+        self.views = np.empty((6 * self.n * self.n, 4), dtype=np.int64)
+        self.entries = np.empty(16 * n_objects, dtype=np.int32)
+
+    def cell(self, cell: int, box: np.ndarray) -> tuple[_CellViews, int, int]:
+        """Return the cell's problem views, the worst bound where the descent stopped, and the worst within the target."""
+        cost = object_cost(self.model, self.boxes, box)
+        if self.visible.mode == "off":
+            first = np.arange(len(cost), dtype=np.int32)
+        else:
+            first = self.visible.object[self.visible.row[cell] : self.visible.row[cell + 1]]
+        whole = int(cost[first].sum())
+        if whole <= self.model.target:
+            return _CellViews(cell, self.views[:0], self.entries, cost), whole, whole
+        kernels.seen_from(self.boxes, box, self.seen)
+        while True:
+            self.lists[0, : len(first)] = first
+            n_views, n_entries, worst, within = kernels.descend(
+                self.seen, cost, len(first), self.lists, self.frusta.normals, self.frusta.row, self.frusta.pad, self.n,
+                self.model.target, self.views, self.entries,
+            )  # fmt: skip
+            if n_entries <= len(self.entries):
+                return _CellViews(cell, self.views[:n_views], self.entries, cost), worst, within
+            self.entries = np.empty(n_entries + n_entries // 4, dtype=np.int32)
+
+
+def _concatenate(
+    parts: list[_CellViews] | list[ProblemViews], cell_cost: np.ndarray, worst_nonproblem: int
+) -> ProblemViews:
+    """Join parts that stand in order of their cells."""
+    entries = np.cumsum([0, *(len(p.object) for p in parts)])
+    rows = [np.zeros(1, dtype=np.int64), *(p.row[1:] + first for p, first in zip(parts, entries))]
+
+    def join(name: str, dtype: type) -> np.ndarray:
+        return np.concatenate([np.empty(0, dtype=dtype), *(getattr(p, name) for p in parts)])
+
+    return ProblemViews(
+        cell=join("cell", np.int32), interval=join("interval", np.int32), cost=join("cost", np.int64),
+        row=np.concatenate(rows), object=join("object", np.int32), before=join("before", np.int64),
+        cell_cost=cell_cost, worst_nonproblem=worst_nonproblem,
+    )  # fmt: skip
