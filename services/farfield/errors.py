@@ -5,9 +5,9 @@
     ├── SettingsInvalid       a setting is out of its range                          exit 2, HTTP 422
     ├── ImpostorError         outside the domain of the error metric                 exit 3, HTTP 422
     ├── PlacementFileError    a placement database file cannot be read               exit 3, HTTP 422
-    │   ├── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered
-    │   └── (others in this file)
+    │   └── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered, PlacementFileMissing
     ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
+    ├── DirectionInvalid      a view direction of length 0, or not finite            exit 2, HTTP 422
     ├── StoreError            a row or blob of the service
     │   ├── SceneNotFound, JobNotFound, PlacementNotFound                        exit 3, HTTP 404
     │   ├── JobNotFinished, JobStillRunning, IdempotencyConflict                 exit 3, HTTP 409
@@ -129,10 +129,21 @@ class ColumnsAltered(PlacementFileError):
         super().__init__(f"{where} is altered or damaged: {why}.")
 
 
+class PlacementFileMissing(PlacementFileError):
+    def __init__(self, where: str) -> None:
+        super().__init__(f"{where} is missing.")
+
+
 class OutsideViewSpace(FarfieldError):
     """The camera position lies outside the view space of the placement."""
 
     advice = "Clamp the camera to the boxes in the manifest's view_space."
+
+
+class DirectionInvalid(FarfieldError):
+    """A view direction of length 0, or one that is not finite."""
+
+    advice = "Give a direction of any length but 0."
 
 
 class StoreError(FarfieldError):

@@ -1,0 +1,110 @@
+"""What is wrong with a manifest, an index or a chunk whose digest is right: a file made by someone else, or a defect.
+
+Each function returns a clause that completes "FILE is altered or damaged: ...", or None.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from farfield.placementdb import layout
+
+_Columns = dict[str, np.ndarray]
+
+
+def manifest_fault(manifest: dict[str, Any]) -> str | None:
+    """Check the keys that a reader relies on, their types, and the ranges of the chunks."""
+    try:
+        origin = [float(x) for x in manifest["origin_m"]]
+        boxes = np.array(manifest["view_space"], dtype=np.float64)
+        edges = np.array(manifest["interval_edges"], dtype=np.float64)
+        numbers = [manifest["worst_nonproblem"], manifest["cost_model"]["per_frame"], manifest["budget"]["amount"]]
+        numbers += [manifest["counts"][k] for k in ("objects", "cells", "problem_views", "impostors")]
+        entries = [manifest["index"], *manifest["chunks"], *manifest["pages"]]
+        sound = len(origin) == 3 and boxes.ndim == 3 and boxes.shape[1:] == (2, 3)
+        sound = sound and edges.ndim == 1 and len(edges) >= 2 and bool((np.diff(edges) > 0).all())
+        sound = sound and all(type(n) is int for n in numbers)
+        sound = sound and all(
+            type(e["file"]) is str and type(e["bytes"]) is int and type(e["sha256"]) is str for e in entries
+        )
+        at = {"cells": 0, "views": 0}
+        for entry in manifest["chunks"]:
+            for key, stop in (("cells", manifest["counts"]["cells"]), ("views", manifest["counts"]["problem_views"])):
+                a, b = entry[key]
+                sound = sound and type(a) is int and type(b) is int and at[key] <= a <= b <= stop
+                at[key] = b
+    except (KeyError, TypeError, ValueError):
+        sound = False
+    return None if sound else "a key is missing or has the wrong type"
+
+
+def index_fault(index: _Columns, manifest: dict[str, Any]) -> str | None:
+    """Check shapes, ids, and that both trees are trees."""
+    fault = layout.misfit(index, layout.INDEX)
+    if fault:
+        return fault
+    count = manifest["counts"]
+    for name, key in (("object_box", "objects"), ("cell_node", "cells"), ("impostor_cluster", "impostors")):
+        if len(index[name]) != count[key]:
+            return f"column {name} has not as many rows as the manifest states"
+    nodes, cells, clusters, n_objects = (
+        len(index["node_axis"]), len(index["cell_node"]), len(index["cluster_start"]), len(index["object_box"])
+    )  # fmt: skip
+    if not len(index["view_box"]) or not nodes:
+        return "there is no view space"
+    inner = index["node_axis"] >= 0
+    for child in (index["node_low"][inner], index["node_high"][inner]):
+        if not ((child > np.flatnonzero(inner)) & (child < nodes)).all():  # ascending: a descent ends
+            return "the view-space tree is no tree"
+    start, stop = index["node_start"], index["node_stop"]
+    if (index["node_axis"] > 2).any() or not ((start >= 0) & (start < stop) & (stop <= cells)).all():
+        return "a node of the view-space tree is out of range"
+    a, b = index["cluster_start"], index["cluster_stop"]
+    if not ((a >= 0) & (a < b) & (b <= n_objects)).all():
+        return "a cluster is out of range"
+    if not _within(index["impostor_cluster"], clusters) or (index["impostor_kind"] > 1).any():
+        return "an impostor is out of range"
+    if not _within(index["impostor_chunk"] + 1, len(manifest["chunks"]) + 1):
+        return "an impostor names a chunk that is not there"
+    return None
+
+
+def chunk_fault(chunk: _Columns, meta: dict[str, Any], entry: dict[str, Any], manifest: dict[str, Any]) -> str | None:
+    """Check shapes, rows and ids against the manifest's entry of the chunk."""
+    fault = layout.misfit(chunk, layout.CHUNK)
+    if fault:
+        return fault
+    count = manifest["counts"]
+    n, v = (entry[key][1] - entry[key][0] for key in ("cells", "views"))
+    if meta.get("cells") != entry["cells"] or meta.get("views") != entry["views"]:
+        return "it is the chunk of other cells"
+    if len(chunk["cell_view"]) != n + 1 or len(chunk["view_interval"]) != v:
+        return "it has not as many cells or problem views as the manifest states"
+    rows = [("cell_view", v), ("list_row", len(chunk["list_impostor"])), ("impostor_layer", len(chunk["layer_page"]))]
+    rows += [("layer_corner", len(chunk["corner_uv"]))]
+    if len(chunk["cell_visible"]):
+        rows += [("visible_row", len(chunk["visible_object"]))]
+    for name, size in rows:
+        row = chunk[name]
+        if not len(row) or row[0] != 0 or row[-1] != size or (np.diff(row) < 0).any():
+            return f"the rows {name} do not cut what they should"
+    ids = [
+        ("cell_visible", max(len(chunk["visible_row"]) - 1, 0)), ("visible_object", count["objects"]),
+        ("view_list", len(chunk["list_row"]) - 1), ("list_impostor", len(chunk["impostor_id"])),
+        ("impostor_id", count["impostors"]), ("layer_page", len(manifest["pages"])),
+    ]  # fmt: skip
+    for name, size in ids:
+        if not _within(chunk[name], size):
+            return f"an entry of {name} is out of range"
+    corners, rect = np.diff(chunk["layer_corner"]), chunk["layer_rect"].astype(np.int64)
+    if not ((corners >= 3) & (corners <= layout.MAX_CORNERS)).all():
+        return "a layer has fewer than 3 or more than 8 corners"
+    if not (rect[:, :2] + rect[:, 2:] <= layout.PAGE_TEXELS).all() or (rect[:, :2] % layout.ALIGN_TEXELS).any():
+        return "a layer reaches past its page"
+    if (np.diff(chunk["impostor_id"]) <= 0).any():
+        return "its impostors are not in ascending order"
+    return None
+
+
+def _within(ids: np.ndarray, size: int) -> bool:
+    return bool(((ids >= 0) & (ids < size)).all())

@@ -1,0 +1,83 @@
+"""Names, types and shapes of the placement database: what writer and reader must agree on (docs/formats/placementdb.md)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+FORMAT, VERSION = "farfield placement", 1
+MANIFEST = "manifest.json"
+INDEX_KIND, CHUNK_KIND = "PlacementIndex", "PlacementChunk"
+NAME_DIGITS = 16  # hex digits of the SHA-256 in a file's name
+DIGEST_KEY = b'"manifest_sha256":"'
+
+PAGE_TEXELS = 1024
+ALIGN_TEXELS = 8  # 2 ** (levels - 1): no texel of the coarsest level lies over two tiles
+LEVELS = ((0, 0, 1024), (0, 1024, 512), (512, 1024, 256), (768, 1024, 128))  # x, y, size in the page's image
+PAGE_WIDTH, PAGE_HEIGHT = 1024, 1536
+MAX_CORNERS = 8
+
+# name -> (dtype, sizes); a letter is a size that must agree wherever it stands, "K+1" one more than it, "K?" it or 0
+Columns = Mapping[str, tuple[str, tuple[str | int, ...]]]
+
+INDEX: Columns = {
+    "node_axis": ("|i1", ("K",)), "node_plane": ("<f8", ("K",)), "node_low": ("<i4", ("K",)),
+    "node_high": ("<i4", ("K",)), "node_parent": ("<i4", ("K",)), "node_box": ("<f8", ("K", 2, 3)),
+    "node_start": ("<i4", ("K",)), "node_stop": ("<i4", ("K",)), "cell_node": ("<i4", ("L",)),
+    "cell_cost": ("<i8", ("L",)), "view_box": ("<f8", ("B", 2, 3)),
+    "object_box": ("<f8", ("N", 2, 3)), "object_cost": ("<i8", ("N",)), "object_calls": ("<i4", ("N",)),
+    "object_triangles": ("<i4", ("N",)),
+    "cluster_start": ("<i4", ("C",)), "cluster_stop": ("<i4", ("C",)), "cluster_left": ("<i4", ("C",)),
+    "cluster_right": ("<i4", ("C",)), "cluster_parent": ("<i4", ("C",)), "cluster_box": ("<f8", ("C", 2, 3)),
+    "impostor_cluster": ("<i4", ("I",)), "impostor_kind": ("|u1", ("I",)), "impostor_view_cell": ("<f8", ("I", 9)),
+    "impostor_bytes": ("<i8", ("I",)), "impostor_cost": ("<i8", ("I",)), "impostor_triangles": ("<i4", ("I",)),
+    "impostor_layers": ("<i4", ("I",)), "impostor_chunk": ("<i4", ("I",)),
+}  # fmt: skip
+
+CHUNK: Columns = {
+    "cell_view": ("<i4", ("n+1",)), "cell_visible": ("<i4", ("n?",)), "visible_row": ("<i4", ("Z",)),
+    "visible_object": ("<i4", ("E",)),
+    "view_interval": ("<i4", ("V",)), "view_cost": ("<i8", ("V",)), "view_geometry_cost": ("<i8", ("V",)),
+    "view_hopeless": ("|u1", ("V",)), "view_list": ("<i4", ("V",)),
+    "list_row": ("<i4", ("S+1",)), "list_impostor": ("<i4", ("T",)),
+    "impostor_id": ("<i4", ("M",)), "impostor_eye": ("<f8", ("M", 3)), "impostor_right": ("<f8", ("M", 3)),
+    "impostor_up": ("<f8", ("M", 3)), "impostor_layer": ("<i4", ("M+1",)),
+    "layer_number": ("<u2", ("R",)), "layer_plane": ("<f8", ("R",)), "layer_inverse_near": ("<f8", ("R",)),
+    "layer_inverse_far": ("<f8", ("R",)), "layer_page": ("<i4", ("R",)), "layer_rect": ("<u2", ("R", 4)),
+    "layer_corner": ("<i4", ("R+1",)),
+    "corner_position": ("<f4", ("Q", 3)), "corner_uv": ("<f4", ("Q", 2)),
+}  # fmt: skip
+
+
+def cast(columns: Mapping[str, np.ndarray], table: Columns) -> dict[str, np.ndarray]:
+    """Return the columns in the types of `table`; asserts that nothing is missing, extra or loses an integer."""
+    assert set(columns) == set(table), sorted(set(columns) ^ set(table))
+    out = {}
+    for name, (dtype, _) in table.items():
+        array = np.asarray(columns[name])
+        kept = array.astype(np.dtype(dtype))
+        assert array.dtype.kind == "f" or np.array_equal(kept, array), f"{name} does not fit into {dtype}"
+        out[name] = kept
+    assert misfit(out, table) is None, misfit(out, table)
+    return out
+
+
+def misfit(columns: Mapping[str, np.ndarray], table: Columns) -> str | None:
+    """Return what is wrong with the types and shapes of the columns, or None. Columns not in `table` are ignored."""
+    sizes: dict[str, int] = {}
+    for name, (dtype, shape) in table.items():
+        array = columns.get(name)
+        if array is None:
+            return f"column {name} is missing"
+        if array.dtype.str != dtype or array.ndim != len(shape):
+            return f"column {name} has the wrong type"
+        for found, wanted in zip(array.shape, shape, strict=True):
+            if isinstance(wanted, int):
+                if found != wanted:
+                    return f"column {name} has the wrong shape"
+                continue
+            if wanted.endswith("?") and found == 0:
+                continue
+            size = found - 1 if wanted.endswith("+1") else found
+            if size < 0 or sizes.setdefault(wanted.rstrip("+1?"), size) != size:
+                return f"column {name} has the wrong length"
+    return None

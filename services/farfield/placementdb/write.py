@@ -1,0 +1,201 @@
+"""Write the placement database: everything -> named files.
+
+Problem  A viewer wants, at a cell and a direction, what to draw, from few files that never change under their names.
+Method   Cut layers into polygons over blocks of texels (`layers`), lay the blocks out on pages in the order of the cells
+         that show them (`pack`, `pages`), cut the lists along the view-space tree (`chunks`), name each file by its
+         digest, and state all of them in one manifest. Format: docs/formats/placementdb.md.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from farfield.bake.model import BakedLayers
+from farfield.columns import pack
+from farfield.geometry.cells import CellTree
+from farfield.geometry.intervals import edges
+from farfield.hierarchy.model import Hierarchy
+from farfield.placement.model import Placement
+from farfield.placementdb import layout
+from farfield.placementdb.chunks import Chunk, build_chunks, spans
+from farfield.placementdb.layers import Pieces, cut_layers, tile_texels
+from farfield.placementdb.pack import pack_blocks
+from farfield.placementdb.pages import build_pages
+from farfield.rendertime.model import CostModel
+from farfield.scene.model import Scene
+from farfield.settings import Settings, to_mapping
+from farfield.viewspace.model import ProblemViews
+from farfield.visibility.model import VisibleSets
+
+
+def verdict_of(model: CostModel, placement: Placement) -> str:
+    """Return `valid` (every problem view within the target), `infeasible` (only hopeless ones over it), or `unproven`."""
+    over = placement.view_cost > model.target
+    if (over & ~placement.hopeless).any():
+        return "unproven"
+    return "infeasible" if placement.hopeless.any() else "valid"
+
+
+def build_files(
+    scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, visible: VisibleSets, views: ProblemViews,
+    placement: Placement, baked: BakedLayers, *, settings: Settings, digests: Mapping[str, str],
+    lighting: Mapping[str, Any] | None = None, threads: int | None = None,
+) -> dict[str, bytes]:  # fmt: skip
+    """Return the files of `placement/`, relative name -> content, the same bytes for any number of `threads`.
+
+    placement    after `repair`: costs and bytes as measured; its impostors are those of `baked`, row by row
+    digests      name -> SHA-256 (hex) of what went in; that of "scene.glb", where given, is stated as the viewer's level
+    lighting     how geometry and impostors are shaded alike, JSON values; None: as the bake shades
+    threads      that encode pages; None: as many as this process may use
+    """
+    assert len(placement.cluster) == len(baked.eye), "placement and bake disagree on the impostors"
+    assert len(placement.serve_row) == len(views.cell) + 1
+    shown = np.zeros(len(placement.cluster), dtype=bool)
+    shown[placement.serve] = True
+    pieces = cut_layers(baked, shown)
+    block_page, block_at = pack_blocks(pieces.block_rect[:, 2:], _block_order(views, placement, pieces))
+    if lighting is None:  # late: a caller who says how it is lit needs no renderer
+        from farfield.bake.shade import LIGHTING
+
+        lighting = LIGHTING
+    threads = len(os.sched_getaffinity(0)) if threads is None else threads
+    pages = build_pages(_page_blocks(baked, pieces, block_page, block_at), threads=threads)
+    chunks = build_chunks(cells, visible, views, placement, baked, pieces, block_page=block_page, block_at=block_at)
+
+    files: dict[str, bytes] = {}
+
+    def add(folder: str, content: bytes, suffix: str) -> dict[str, Any]:
+        digest = hashlib.sha256(content).hexdigest()
+        name = f"{folder}{digest[: layout.NAME_DIGITS]}{suffix}"
+        assert files.setdefault(name, content) == content, f"two files want the name {name}"
+        return {"file": name, "bytes": len(content), "sha256": digest}
+
+    index = _index(scene, hierarchy, model, cells, views, placement, pieces, chunks)
+    index_entry = add("index-", pack(layout.INDEX_KIND, layout.cast(index, layout.INDEX)), ".ffc")
+    chunk_entries = []
+    for i, chunk in enumerate(chunks):
+        meta = {"chunk": i, "cells": list(chunk.cells), "views": list(chunk.views)}
+        entry = add("chunks/", pack(layout.CHUNK_KIND, chunk.columns, meta), ".ffc")
+        box = (cells.box[chunk.node] + scene.origin_m).tolist()
+        used = np.unique(chunk.columns["layer_page"]).tolist()
+        chunk_entries.append(
+            entry | {k: meta[k] for k in ("cells", "views")} | {"node": chunk.node, "box": box, "pages": used}
+        )
+    impostor_of = np.repeat(np.arange(len(baked.eye)), np.diff(pieces.row))
+    users = np.unique(np.stack([block_page[pieces.block], impostor_of], axis=-1), axis=0)[:, 0]
+    page_entries = [
+        add("pages/", page, ".webp") | {"impostors": int((users == k).sum())} for k, page in enumerate(pages)
+    ]
+    listed = [index_entry, *chunk_entries, *page_entries]
+    manifest = _manifest(scene, hierarchy, model, cells, visible, views, placement, settings) | {
+        "counts": _counts(scene, hierarchy, cells, views, placement, pieces) | {"chunks": len(chunks), "pages": len(pages)},
+        "index": index_entry, "chunks": chunk_entries, "pages": page_entries,
+        "file_bytes": sum(entry["bytes"] for entry in listed),
+        "video_bytes": len(pages) * layout.PAGE_WIDTH * layout.PAGE_HEIGHT * 4,
+        "lighting": dict(lighting),
+        "scene": {"file": "scene.glb", "sha256": digests["scene.glb"]} if "scene.glb" in digests else None,
+        "provenance": {
+            "settings": to_mapping(settings), "software": {"farfield": version("farfield"), "renderer": baked.renderer},
+            "inputs": dict(digests),
+        },
+    }  # fmt: skip
+    files[layout.MANIFEST] = sealed(manifest)
+    return files
+
+
+def sealed(manifest: Mapping[str, Any]) -> bytes:
+    """Return the manifest's bytes, with the digest of themselves in `manifest_sha256`."""
+    values = {**manifest, "manifest_sha256": "0" * 64}
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii") + b"\n"
+    assert text.count(layout.DIGEST_KEY) == 1
+    digest = hashlib.sha256(text).hexdigest().encode()
+    return text.replace(layout.DIGEST_KEY + b"0" * 64, layout.DIGEST_KEY + digest)
+
+
+def _block_order(views: ProblemViews, placement: Placement, pieces: Pieces) -> np.ndarray:
+    """Return the blocks in the order of the first, then the last cell in which an impostor with them is shown."""
+    n, cell = len(placement.cluster), np.repeat(views.cell, np.diff(placement.serve_row))
+    first, last = np.full(n, np.iinfo(np.int32).max), np.full(n, -1)
+    np.minimum.at(first, placement.serve, cell)
+    np.maximum.at(last, placement.serve, cell)
+    impostors = np.lexsort((np.arange(n), last, first))
+    _, rows = spans(pieces.row, impostors)
+    blocks, at = np.unique(pieces.block[rows], return_index=True)
+    return blocks[np.argsort(at)]
+
+
+def _page_blocks(
+    baked: BakedLayers, pieces: Pieces, block_page: np.ndarray, block_at: np.ndarray
+) -> Sequence[Sequence[tuple[int, int, np.ndarray]]]:
+    pages: list[list[tuple[int, int, np.ndarray]]] = [[] for _ in range(int(block_page.max(initial=-1)) + 1)]
+    for block, page in enumerate(block_page):
+        x, y, w, h = (int(n) for n in pieces.block_rect[block])
+        texels = tile_texels(baked, int(pieces.block_tile[block]))[y : y + h, x : x + w]
+        pages[page].append((int(block_at[block, 0]), int(block_at[block, 1]), texels))
+    return pages
+
+
+def _index(
+    scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews, placement: Placement,
+    pieces: Pieces, chunks: Sequence[Chunk],
+) -> dict[str, np.ndarray]:  # fmt: skip
+    n = len(placement.cluster)
+    first_chunk = np.full(n, -1)
+    for k in reversed(range(len(chunks))):
+        first_chunk[chunks[k].columns["impostor_id"]] = k
+    corners = np.concatenate([[0], np.cumsum(np.diff(pieces.corner_row) - 2)])
+    triangles = corners[pieces.row[1:]] - corners[pieces.row[:-1]]
+    return {
+        "node_axis": cells.axis, "node_plane": cells.plane, "node_low": cells.low, "node_high": cells.high,
+        "node_parent": cells.parent, "node_box": cells.box, "node_start": cells.start, "node_stop": cells.stop,
+        "cell_node": cells.leaf, "cell_cost": views.cell_cost, "view_box": scene.view_boxes,
+        "object_box": scene.object_box, "object_cost": model.object_fixed, "object_calls": scene.object_calls,
+        "object_triangles": scene.object_triangles, "cluster_start": hierarchy.start, "cluster_stop": hierarchy.stop,
+        "cluster_left": hierarchy.left, "cluster_right": hierarchy.right, "cluster_parent": hierarchy.parent,
+        "cluster_box": hierarchy.box, "impostor_cluster": placement.cluster, "impostor_kind": placement.kind,
+        "impostor_view_cell": placement.view_cell, "impostor_bytes": placement.bytes,
+        "impostor_cost": placement.cost, "impostor_triangles": triangles,
+        "impostor_layers": np.diff(pieces.row), "impostor_chunk": first_chunk,
+    }  # fmt: skip
+
+
+def _counts(
+    scene: Scene, hierarchy: Hierarchy, cells: CellTree, views: ProblemViews, placement: Placement, pieces: Pieces
+) -> dict[str, int]:
+    return {
+        "objects": scene.n_objects, "triangles": int(scene.object_triangles.sum()), "clusters": len(hierarchy.start),
+        "nodes": len(cells.axis), "cells": cells.n_cells, "problem_views": len(views.cell),
+        "hopeless_views": int(placement.hopeless.sum()), "impostors": len(placement.cluster), "layers": len(pieces.layer),
+    }  # fmt: skip
+
+
+def _manifest(
+    scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, visible: VisibleSets, views: ProblemViews,
+    placement: Placement, settings: Settings,
+) -> dict[str, Any]:  # fmt: skip
+    origin = scene.origin_m
+    low, high = scene.object_box[:, 0], scene.object_box[:, 1]
+    prices = ("call", "triangle", "pixel", "impostor", "impostor_triangle", "impostor_pixel")
+    return {
+        "format": layout.FORMAT, "version": layout.VERSION,
+        "units": {"length": "m", "angle": "deg", "cost": model.unit, "texture": "texel"},
+        "origin_m": origin.tolist(), "view_space": (scene.view_boxes + origin).tolist(),
+        "camera": {"fov_deg": model.fov_deg, "width": model.width, "height": model.height},
+        "quality": to_mapping(settings)["quality"],
+        "budget": {"text": settings.budget, "unit": model.unit, "amount": model.budget},
+        "cost_model": {"per_frame": model.per_frame, "target": model.target}
+        | {f"per_{price}": getattr(model, f"per_{price}") for price in prices},
+        "interval_edges": edges(round(90 / settings.view_space.interval_deg)).tolist(),
+        "bounds": (np.stack([low.min(0), high.max(0)]) + origin).tolist() if scene.n_objects else None,
+        "bytes": int(placement.bytes.sum()), "worst_nonproblem": int(views.worst_nonproblem),
+        "visibility": visible.mode, "verdict": verdict_of(model, placement),
+        "page": {
+            "size": layout.PAGE_TEXELS, "width": layout.PAGE_WIDTH, "height": layout.PAGE_HEIGHT,
+            "levels": [{"x": x, "y": y, "size": size} for x, y, size in layout.LEVELS],
+        },
+    }  # fmt: skip
