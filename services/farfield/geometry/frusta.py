@@ -1,13 +1,13 @@
 """Enclosing frusta: which boxes a camera may see whose position is in a cell and whose direction is in an interval.
 
-Problem  A box and a view cell, both axis-aligned; the camera stands anywhere in the cell and looks in any direction of an
-         interval. May a part of the box be on the screen? Never no where it may be; rarely yes where it is not.
+Problem  A box and a view cell, both axis-aligned; the camera stands anywhere in the cell and looks in any direction of
+         an interval. May a part of the box be on the screen? Never no where it may be; rarely yes where it is not.
 Method   The differences object point - viewpoint fill exactly the box with centre q = (o0 + o1 - v0 - v1) / 2 and half
-         sizes g = (o1 - o0 + v1 - v0) / 2. The frusta of all directions, apex at the origin, lie in the convex cone K of
-         their corner rays. K and the box are disjoint iff a facet normal of K, a world axis, or a world axis x an edge of
-         K separates them, and a cone with its apex at 0 can only be separated by normals N with all of K on one side.
-         Those do not depend on the box: some 30 a direction interval, once for all objects and cells. Reject iff
-         N.q + |N|.g + pad (|q| + |g|) < 0 for one of them [error-metric.md section 10].
+         sizes g = (o1 - o0 + v1 - v0) / 2. The frusta of all directions, apex at the origin, lie in the convex cone K
+         of their corner rays. K and the box are disjoint iff a facet normal of K, a world axis, or a world axis x an
+         edge of K separates them, and a cone with its apex at 0 can only be separated by normals N with all of K on one
+         side. Those do not depend on the box: about 10 an interval (100 at a pole), once for all objects and cells.
+         Reject iff N.q + |N|.g + pad (|q| + |g|) < 0 for one of them [error-metric.md section 10].
 Errs     towards yes: by K against the non-convex union of the frusta, and by pad, which covers corner rays between the
          sampled ones. A box that touches the cell is always accepted.
 """
@@ -74,7 +74,7 @@ def enclosing_frusta(n: int, camera: Camera) -> Frusta:
 def enclosing_frustum(
     face: int, i: int, j: int, n: int, *, fov_deg: float, width: int, height: int
 ) -> tuple[np.ndarray, float]:
-    """Return (normals (K,3) f64 unit and inwards, pad >= 0) of interval (face, i, j) of n x n; K = 0 accepts everything.
+    """Return (normals (K,3) f64, unit, inwards; pad >= 0) of interval (face, i, j) of n x n; K = 0 accepts everything.
 
     fov_deg  vertical, (0, 150]; width, height of the screen in pixels. No roll, except at a pole, where any is covered.
     """
@@ -89,13 +89,13 @@ def view_frustum_normals(direction: np.ndarray, camera: Camera) -> np.ndarray:
     """Return (K,3) f64: the inward unit normals that decide, exactly, which boxes one camera sees.
 
     direction  (3,) any length but 0. A box with centre q (relative to the eye) and half sizes g is outside the view
-    pyramid (no near or far plane) iff N.q + |N|.g < 0 for one of them. K is at most 31.
+    pyramid (no near or far plane) iff N.q + |N|.g < 0 for one of them. K is about ten.
     """
     return _cone_normals(corner_rays(direction, camera))
 
 
 def boxes_in_frustum(normals: np.ndarray, pad: float, boxes: np.ndarray, cell_box: np.ndarray) -> np.ndarray:
-    """Return (N,) bool: boxes (N,2,3) f64 that normals (K,3) and pad accept, seen from cell_box (2,3) (an eye twice)."""
+    """Return (N,) bool: which boxes (N,2,3) f64 normals (K,3) and pad accept, from cell_box (2,3) (an eye twice)."""
     q = (boxes[:, 0] + boxes[:, 1] - (cell_box[0] + cell_box[1])) / 2
     g = (boxes[:, 1] - boxes[:, 0] + (cell_box[1] - cell_box[0])) / 2
     reach = np.sqrt((q * q).sum(1)) + np.sqrt((g * g).sum(1))
@@ -131,7 +131,7 @@ def _grid_rays(face: int, bounds: np.ndarray, camera: Camera) -> tuple[np.ndarra
 
 
 def _pole_rays(face: int, bounds: np.ndarray, camera: Camera) -> tuple[np.ndarray, float]:
-    """Rays (M,3) of polygons around the circular cones, which any roll stays in, and the largest turn between neighbours."""
+    """Rays (M,3) of polygons around circular cones, which any roll stays in, and the largest turn of neighbours."""
     steps = [8, 8]
     while True:
         forward = _directions(face, bounds, steps)
@@ -141,7 +141,7 @@ def _pole_rays(face: int, bounds: np.ndarray, camera: Camera) -> tuple[np.ndarra
         steps = [max(s, math.ceil(s * r / RHO * 1.01)) for s, r in zip(steps, turn)]
     forward = forward.reshape(-1, 3)
     tangent = math.hypot(*camera.half_tan) / math.cos(math.pi / POLYGON)
-    _, u, v, _ = face_axes(face)
+    u = face_axes(face)[1]
     a = np.zeros_like(forward)  # across `forward`: the face's u axis made perpendicular; never degenerate on a face
     a[:, u] = 1.0
     a -= forward * forward[:, [u]]

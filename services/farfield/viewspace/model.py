@@ -7,11 +7,11 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProblemViews:
-    """V problem views: a leaf cell and a smallest direction interval whose enclosing frustum costs more than the budget.
+    """V problem views: leaf cell and smallest direction interval whose enclosing frustum costs more than the target.
 
     Sorted by (cell, interval). Costs leave the per-frame cost out: a view is a problem because cost > model.target.
-    Entries of view v are [row[v], row[v+1]): the objects that its enclosing frustum may show, ascending; `before` is the
-    cost of the entries before this one in the same view, so the cost of a cluster [a, b) is two binary searches
+    Entries of view v are [row[v], row[v+1]): the objects that its enclosing frustum may show, ascending; `before` is
+    the cost of the entries before this one in the same view, so the cost of a cluster [a, b) is two binary searches
     (see `farfield.viewspace.cost.cluster_cost`).
     """
 
