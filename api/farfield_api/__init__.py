@@ -1,1 +1,1 @@
-"""The HTTP API of farfield: a thin FastAPI shell over `farfield`."""
+"""HTTP in, rows and messages out: the FastAPI shell around the store."""

@@ -24,6 +24,7 @@ from farfield.pipeline import Inputs
 from farfield.settings import from_mapping
 from farfield.stages import Stage
 
+from farfield_workers.children import die_with_parent
 from farfield_workers.table import Pipeline, load_pipeline
 
 
@@ -121,6 +122,8 @@ def compute_isolated(pipeline_name: str, call: Call, out: Path, *, memory_bytes:
 
 
 def main() -> int:
+    """Compute the call on stdin within its limits and print the outcome."""
+    die_with_parent()
     order = json.load(sys.stdin)
     limits = {
         resource.RLIMIT_AS: order["memory_bytes"],

@@ -130,7 +130,10 @@ def _step(
     shards = tx.execute(
         sa.select(shard.c.kind, shard.c.state, shard.c.artifact_digest, shard.c.error).where(shard.c.stage_id == at.id)
     ).all()
-    broken = next((s for s in shards if s.state == "failed"), None)
+    # Once it is reporting, a shard that failed before is the reason why the stage is reported as failed.
+    broken = next(
+        (s for s in shards if s.state == "failed" and (s.kind == "report") == (at.state == "reporting")), None
+    )
     if broken is not None:
         error = {**(broken.error or {}), "stage": at.name}
         if not (kind.optional and at.state != "reporting"):

@@ -1,0 +1,72 @@
+"""Makes the app: state, routes, errors, pages."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+from farfield.store.artifacts import LocalArtifacts
+from farfield.store.engine import open_engine
+from fastapi import FastAPI
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from farfield_api.errors import PROBLEM_SCHEMA, add_handlers
+from farfield_api.pages import SecurityHeaders, add_pages
+from farfield_api.queue import Queue
+from farfield_api.routes import health, jobs, placements, scenes, session
+from farfield_api.settings import ApiSettings
+from farfield_api.state import State
+from farfield_api.streams import EventPoller
+
+MAX_JSON_BYTES = 1 << 20
+
+
+def make_app(settings: ApiSettings) -> FastAPI:
+    """Return the app. It opens the database, and neither makes nor migrates it."""
+    engine = open_engine(settings.database_url)
+    state = State(
+        settings=settings, engine=engine, artifacts=LocalArtifacts(settings.artifacts),
+        queue=Queue(settings.broker_url, engine), poller=EventPoller(engine, settings.poll_s),
+    )  # fmt: skip
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        polling = asyncio.create_task(state.poller.run())
+        yield
+        polling.cancel()
+        with suppress(asyncio.CancelledError):
+            await polling
+        engine.dispose()
+
+    app = FastAPI(
+        title="farfield", version="1", lifespan=lifespan, docs_url=None, redoc_url=None,
+        openapi_url="/v1/openapi.json", max_body_size=MAX_JSON_BYTES,
+    )  # fmt: skip
+    app.state.farfield = state
+    app.add_middleware(SecurityHeaders)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(settings.hosts))
+    add_handlers(app)
+    for routes in (health, session, scenes, jobs, placements):
+        app.include_router(routes.router)
+    add_pages(app, settings.web)
+    _describe(app)
+    return app
+
+
+def _describe(app: FastAPI) -> None:
+    plain = app.openapi
+
+    def described() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            schema = plain()
+            parts = schema.setdefault("components", {})
+            parts.setdefault("schemas", {})["Problem"] = PROBLEM_SCHEMA
+            parts["securitySchemes"] = {
+                "key": {"type": "http", "scheme": "bearer"},
+                "session": {"type": "apiKey", "in": "cookie", "name": "farfield_session"},
+            }
+            schema["security"] = [{"key": []}, {"session": []}]
+        assert app.openapi_schema is not None
+        return app.openapi_schema
+
+    app.openapi = described  # type: ignore[method-assign]

@@ -1,0 +1,84 @@
+"""Who asks: an API key in a header, or a session cookie made from a key or a login link.
+
+Session  "KEYID.EXPIRES.MAC": signed, HttpOnly, same-site; it ends when its key is revoked. A request that changes
+         something and comes with a cookie also needs X-CSRF-Token, which only our own pages can read.
+"""
+
+import hashlib
+import hmac
+import time
+from collections.abc import Callable
+from typing import Annotated
+
+from farfield.store import tenants
+from farfield.store.tenants import Caller
+from fastapi import Depends, Request
+
+from farfield_api.errors import CsrfMissing, KeyMissing, KeyUnknown, ScopeMissing
+from farfield_api.state import Service, State
+
+COOKIE = "farfield_session"
+SAFE = ("GET", "HEAD", "OPTIONS")
+
+
+def _mac(secret: str, purpose: str, text: str) -> str:
+    return hmac.new(bytes.fromhex(secret), f"{purpose}:{text}".encode(), hashlib.sha256).hexdigest()
+
+
+def make_session(secret: str, key_id: str, lifetime_s: int) -> str:
+    """Return the cookie of a new session."""
+    text = f"{key_id}.{int(time.time()) + lifetime_s}"
+    return f"{text}.{_mac(secret, 'session', text)}"
+
+
+def csrf_token(secret: str, session: str) -> str:
+    """Return the token that goes with this session."""
+    return _mac(secret, "csrf", session)
+
+
+def key_of_session(secret: str, session: str) -> str | None:
+    """Return the id of the key that the session was made from; None where it is forged or over."""
+    text, _, mac = session.rpartition(".")
+    key_id, _, expires = text.partition(".")
+    genuine = hmac.compare_digest(mac.encode(), _mac(secret, "session", text).encode())
+    return key_id if genuine and expires.isdigit() and int(expires) > time.time() else None
+
+
+def authenticate(request: Request, service: State) -> Caller:
+    """Return who asks. Raises KeyMissing, KeyUnknown, CsrfMissing."""
+    header = request.headers.get("authorization")
+    if header is not None:
+        scheme, _, key = header.partition(" ")
+        caller = tenants.caller_of_key(service.engine, key.strip()) if scheme.lower() == "bearer" else None
+        if caller is None:
+            raise KeyUnknown
+        return caller
+    session = request.cookies.get(COOKIE)
+    if session is None:
+        raise KeyMissing
+    key_id = key_of_session(service.settings.secret, session)
+    caller = tenants.caller_of_id(service.engine, key_id) if key_id is not None else None
+    if caller is None:
+        raise KeyUnknown
+    if request.method not in SAFE:
+        token = request.headers.get("x-csrf-token", "")
+        if not hmac.compare_digest(token.encode(), csrf_token(service.settings.secret, session).encode()):
+            raise CsrfMissing
+    return caller
+
+
+def require(scope: str) -> Callable[[Request, State], Caller]:
+    """Return a dependency that lets callers with this scope through."""
+
+    def check(request: Request, service: Service) -> Caller:
+        caller = authenticate(request, service)
+        if scope not in caller.scopes:
+            raise ScopeMissing(scope)
+        return caller
+
+    return check
+
+
+Reader = Annotated[Caller, Depends(require("read"))]
+Submitter = Annotated[Caller, Depends(require("submit"))]
+Admin = Annotated[Caller, Depends(require("admin"))]

@@ -1,0 +1,163 @@
+"""One table from error to HTTP status; every refusal is an RFC 9457 problem with a code and what to do.
+
+{"type": "urn:farfield:error:SceneEmpty", "title": "SceneEmpty", "status": 422, "code": "SceneEmpty",
+ "detail": "what is wrong, and where", "advice": "what to do"}
+"""
+
+import logging
+from typing import Any
+
+from farfield import errors
+from farfield.errors import FarfieldError
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+log = logging.getLogger(__name__)
+
+
+class AccessError(FarfieldError):
+    """The request may not do what it asks."""
+
+
+class KeyMissing(AccessError):
+    advice = "Send Authorization: Bearer KEY, or open the pages with a login link."
+
+    def __init__(self) -> None:
+        super().__init__("this needs an API key or a session")
+
+
+class KeyUnknown(AccessError):
+    advice = "Check the key; it may have been revoked, or the session may have ended."
+
+    def __init__(self) -> None:
+        super().__init__("the key, session or login link is not valid")
+
+
+class ScopeMissing(AccessError):
+    advice = "Use a key that has the scope."
+
+    def __init__(self, scope: str) -> None:
+        super().__init__(f"this needs the scope {scope}")
+
+
+class CsrfMissing(AccessError):
+    advice = "Send the csrf_token of GET /v1/session as X-CSRF-Token."
+
+    def __init__(self) -> None:
+        super().__init__("a change made with a session needs its CSRF token")
+
+
+class UploadTooLarge(FarfieldError):
+    advice = "Split the level, or ask the operator to raise the limit."
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"the upload is larger than {limit} bytes")
+
+
+class UploadAltered(FarfieldError):
+    advice = "Send the file again."
+
+
+class CursorInvalid(FarfieldError):
+    advice = "Use the `next` of the page before, unchanged."
+
+    def __init__(self) -> None:
+        super().__init__("the cursor is not one of ours")
+
+
+class SceneRefused(FarfieldError):
+    """The scene was refused by the process that read it, under the name that this gave."""
+
+    def __init__(self, code: str, message: str, advice: str) -> None:
+        super().__init__(message)
+        self._code, self.advice = code, advice
+
+    @property
+    def code(self) -> str:
+        return self._code
+
+
+STATUS: dict[type[FarfieldError], int] = {
+    KeyMissing: 401,
+    KeyUnknown: 401,
+    AccessError: 403,
+    UploadTooLarge: 413,
+    UploadAltered: 422,
+    CursorInvalid: 422,
+    SceneRefused: 422,
+    errors.SceneError: 422,
+    errors.SettingsInvalid: 422,
+    errors.ImpostorError: 422,
+    errors.PlacementFileError: 422,
+    errors.OutsideViewSpace: 422,
+    errors.SceneNotFound: 404,
+    errors.JobNotFound: 404,
+    errors.PlacementNotFound: 404,
+    errors.JobNotFinished: 409,
+    errors.JobStillRunning: 409,
+    errors.IdempotencyConflict: 409,
+    errors.ServiceError: 503,
+    FarfieldError: 500,
+}
+
+MEDIA_TYPE = "application/problem+json"
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    "default": {
+        "description": "A problem (RFC 9457)",
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    }
+}
+PROBLEM_SCHEMA = {
+    "type": "object",
+    "required": ["type", "title", "status", "code", "detail"],
+    "properties": {
+        "type": {"type": "string"}, "title": {"type": "string"}, "status": {"type": "integer"},
+        "code": {"type": "string", "description": "the error's stable name"},
+        "detail": {"type": "string", "description": "what is wrong, and where"},
+        "advice": {"type": "string", "description": "what to do"},
+        "key": {"type": "string", "description": "the setting's dotted name, for SettingsInvalid"},
+        "errors": {"type": "array", "items": {"type": "object"}, "description": "for RequestInvalid: where and what"},
+    },
+}  # fmt: skip
+
+
+def status_of(error: FarfieldError) -> int:
+    """Return the status of the nearest ancestor in the table."""
+    return next(STATUS[cls] for cls in type(error).__mro__ if cls in STATUS)
+
+
+def problem(status: int, code: str, detail: str, advice: str = "", **more: Any) -> JSONResponse:
+    """Return a problem as a response."""
+    body = {"type": f"urn:farfield:error:{code}", "title": code, "status": status, "code": code, "detail": detail}
+    headers = {"WWW-Authenticate": "Bearer"} if status == 401 else {}
+    return JSONResponse({**body, "advice": advice, **more}, status, headers, media_type=MEDIA_TYPE)
+
+
+def add_handlers(app: FastAPI) -> None:
+    """Make every error that leaves a route a problem."""
+
+    @app.exception_handler(FarfieldError)
+    async def named(request: Request, error: FarfieldError) -> JSONResponse:
+        status = status_of(error)
+        more = {"key": error.key} if isinstance(error, errors.SettingsInvalid) else {}
+        if status == 500:
+            log.error("%s %s: %s: %s", request.method, request.url.path, error.code, error)
+        return problem(status, error.code, str(error), error.advice, **more)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        found = [{"where": ".".join(map(str, e["loc"])), "what": e["msg"]} for e in error.errors()]
+        text = "; ".join(f"{e['where']}: {e['what']}" for e in found)
+        return problem(422, "RequestInvalid", text, "See /v1/openapi.json for the form of the request.", errors=found)
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> JSONResponse:
+        codes = {404: "NotFound", 405: "MethodNotAllowed", 413: "RequestTooLarge"}
+        return problem(error.status_code, codes.get(error.status_code, "RequestRefused"), str(error.detail))
+
+    @app.exception_handler(Exception)
+    async def unexpected(request: Request, error: Exception) -> JSONResponse:
+        log.exception("%s %s", request.method, request.url.path, exc_info=error)
+        return problem(500, "Unexpected", "the service failed", "Try again; tell the operator when it happened.")

@@ -1,0 +1,38 @@
+"""A bare Celery client: the only place of the API that sends, always after the transaction has committed.
+
+What cannot be sent is not lost: the reconciler finds the shard ready and undelivered.
+"""
+
+import logging
+
+import sqlalchemy as sa
+from celery import Celery
+from farfield.stages import RUN_SHARD
+from farfield.store import progress
+from farfield.store.progress import Message
+from kombu.exceptions import OperationalError
+
+log = logging.getLogger(__name__)
+
+
+class Queue:
+    """Sends messages to the workers."""
+
+    def __init__(self, broker_url: str, engine: sa.Engine) -> None:
+        self.celery = Celery("farfield", broker=broker_url)
+        self.celery.conf.update(
+            task_serializer="json", task_ignore_result=True, broker_connection_timeout=2,
+            broker_transport_options={"socket_connect_timeout": 2, "socket_timeout": 5},
+        )  # fmt: skip
+        self.engine = engine
+
+    def send(self, message: Message) -> None:
+        """Tell a worker of the queue about the shard."""
+        try:
+            self.celery.send_task(
+                RUN_SHARD, args=[message.shard_id], queue=message.queue, retry=False, ignore_result=True
+            )
+        except OperationalError:
+            log.warning("the broker does not answer; the reconciler will send shard %s", message.shard_id)
+            return
+        progress.mark_sent(self.engine, [message.shard_id])

@@ -1,0 +1,1 @@
+"""One file a noun; each translates HTTP to the store and back."""

@@ -1,0 +1,30 @@
+"""What the routes of one app share, and how they reach it."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import sqlalchemy as sa
+from farfield.store.artifacts import LocalArtifacts
+from fastapi import Depends, Request
+
+from farfield_api.queue import Queue
+from farfield_api.settings import ApiSettings
+from farfield_api.streams import EventPoller
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    settings: ApiSettings
+    engine: sa.Engine
+    artifacts: LocalArtifacts
+    queue: Queue
+    poller: EventPoller
+
+
+def state_of(request: Request) -> State:
+    found = request.app.state.farfield
+    assert isinstance(found, State)
+    return found
+
+
+Service = Annotated[State, Depends(state_of)]

@@ -1,0 +1,81 @@
+"""One poller a process feeds all its event streams: a hundred idle streams cost one small query at a time."""
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import sqlalchemy as sa
+from farfield.store import events
+from farfield.store.engine import read
+from farfield.store.jobs import ENDED
+from starlette.concurrency import run_in_threadpool
+
+PAGE = 500
+KEEP_ALIVE_S = 15.0
+
+
+class EventPoller:
+    """Wakes the streams of a job when its counter of events has moved."""
+
+    def __init__(self, engine: sa.Engine, poll_s: float) -> None:
+        self.engine, self.poll_s = engine, poll_s
+        self._watched: dict[str, set[asyncio.Event]] = {}
+        self._known: dict[str, int] = {}
+        self._any = asyncio.Event()
+
+    async def run(self) -> None:
+        """Look for news for as long as somebody watches; runs until cancelled."""
+        while True:
+            await self._any.wait()
+            try:
+                numbers = await run_in_threadpool(self._numbers, list(self._watched))
+            except sa.exc.OperationalError:
+                numbers = {}
+            for job_id, number in numbers.items():
+                if self._known.get(job_id) != number:
+                    self._known[job_id] = number
+                    for changed in self._watched.get(job_id, ()):
+                        changed.set()
+            await asyncio.sleep(self.poll_s)
+
+    @contextmanager
+    def watch(self, job_id: str) -> Iterator[asyncio.Event]:
+        """An event that is set whenever the job may have news."""
+        changed = asyncio.Event()
+        self._watched.setdefault(job_id, set()).add(changed)
+        self._any.set()
+        try:
+            yield changed
+        finally:
+            self._watched[job_id].discard(changed)
+            if not self._watched[job_id]:
+                del self._watched[job_id]
+                self._known.pop(job_id, None)
+            if not self._watched:
+                self._any.clear()
+
+    async def follow(self, job_id: str, after: int) -> AsyncIterator[dict[str, Any] | None]:
+        """Yield the job's events above number `after` until its last one; None now and then, to keep the line open."""
+        with self.watch(job_id) as changed:
+            while True:
+                changed.clear()
+                found = await run_in_threadpool(self._after, job_id, after)
+                for event in found:
+                    after = event["seq"]
+                    yield event
+                    if event["kind"] == "job" and event["data"].get("state") in ENDED:
+                        return
+                if len(found) < PAGE:
+                    try:
+                        await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S)
+                    except TimeoutError:
+                        yield None
+
+    def _numbers(self, job_ids: list[str]) -> dict[str, int]:
+        with read(self.engine) as tx:
+            return events.last_numbers(tx, job_ids)
+
+    def _after(self, job_id: str, after: int) -> list[dict[str, Any]]:
+        with read(self.engine) as tx:
+            return events.after(tx, job_id, after, PAGE)

@@ -1,0 +1,16 @@
+"""Stands where `farfield inspect` stands, for scenes that are JSON: prints what was read, or a named error."""
+
+import json
+import sys
+import time
+
+text = open(sys.argv[-1], encoding="utf-8").read()
+try:
+    scene = json.loads(text)
+except ValueError:
+    print(f"SceneUnreadable: {sys.argv[-1]} is not a scene", file=sys.stderr)
+    sys.exit(3)
+if scene.get("greedy"):
+    bytearray(1 << 40)
+time.sleep(scene.get("slow", 0.0))
+print(json.dumps({"objects": [{"id": 0}], "triangles": 12, "warnings": []}))

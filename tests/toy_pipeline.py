@@ -1,0 +1,94 @@
+"""A pipeline of small pure functions, for tests of the service: what it does is said in the scene file, as JSON.
+
+    {"shards": 6, "seconds": 0.0, "fail": "bake", "error": "named" | "odd", "crash_once": PATH, "skip": true}
+"""
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+from farfield.columns import files_parts
+from farfield.errors import SceneEmpty
+from farfield.pipeline import Step
+from farfield.stages import Queue, Stage
+from farfield_workers.table import Pipeline
+
+
+def wishes(inputs):
+    """Return what the scene file asks for, from the file or from the artifact of stage scene."""
+    if Stage.SCENE in inputs.artifacts:
+        return json.loads(bytes(inputs.artifacts[Stage.SCENE]))
+    return json.loads(inputs.scene_file.read_text())
+
+
+def _act(stage, inputs, shard):
+    wish = wishes(inputs)
+    if stage == Stage.VIEWSPACE:
+        time.sleep(wish.get("seconds", 0.0))
+        once = wish.get("crash_once")
+        if once and shard == 1 and not Path(once).exists():
+            Path(once).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    if wish.get("fail") == stage:
+        if wish.get("error") == "named":
+            raise SceneEmpty("the toy has no triangles")
+        raise RuntimeError("a secret of /this/machine")
+
+
+def _run(stage):
+    def run(inputs, shard):
+        _act(stage, inputs, shard)
+        if stage == Stage.SCENE:
+            return [inputs.scene_file.read_bytes()]
+        seen = {s: inputs.digests[s][:8] for s in sorted(inputs.artifacts)}
+        return [json.dumps([stage, shard, seen, inputs.settings.budget]).encode()]
+
+    return run
+
+
+def _merge(inputs, pieces):
+    return [b"[" + b",".join(bytes(p) for p in pieces) + b"]"]
+
+
+def _files(inputs, shard):
+    _act(Stage.PLACEMENTDB, inputs, shard)
+    page = bytes(range(256)) * 40
+    manifest = json.dumps({"budget": inputs.settings.budget, "viewspace": inputs.digests[Stage.VIEWSPACE]}).encode()
+    return files_parts({"scene.glb": b"glTF", "placement/manifest.json": manifest, "placement/pages/p.bin": page})
+
+
+def _step(stage, before):
+    many = stage in (Stage.VIEWSPACE, Stage.CANDIDATES)
+    skips = stage in (Stage.VISIBILITY, Stage.CANDIDATES)
+    return Step(
+        stage=stage, version=1, inputs=() if stage == Stage.SCENE else (Stage.SCENE, *before[-1:]),
+        queue={Stage.PLACEMENT: Queue.OPTIMIZER, Stage.BAKE: Queue.GL}.get(stage, Queue.CPU),
+        reads=("budget",) if stage == Stage.PLACEMENTDB else (),
+        plan=lambda inputs: list(range(wishes(inputs).get("shards", 6))) if many else ["all"],
+        run=_files if stage == Stage.PLACEMENTDB else _run(stage), merge=_merge if many or skips else None,
+        skip=lambda inputs: "the toy has nothing to hide" if skips and wishes(inputs).get("skip", True) else None,
+    )  # fmt: skip
+
+
+def _inputs_of(stage):
+    order = [s for s in Stage if s != Stage.SCENE]
+    if stage == Stage.PLACEMENTDB:
+        return (Stage.VIEWSPACE,)
+    at = order.index(stage) if stage in order else 0
+    return tuple(order[:at])
+
+
+def _report(inputs, stages):
+    verdict = "valid" if Stage.EVALUATION in inputs.artifacts else "unproven"
+    listed = [{"name": s.name, "seconds": s.seconds, "skipped": s.skipped, "shards": s.shards} for s in stages]
+    return {"verdict": verdict, "stages": listed}
+
+
+PIPELINE = Pipeline(
+    steps={stage: _step(stage, _inputs_of(stage)) for stage in Stage},
+    report=_report,
+    optional=frozenset({Stage.EVALUATION}),
+    isolated=frozenset({Stage.SCENE}),
+)
