@@ -1,11 +1,9 @@
-"""Made-up placements for tests of the placement database: every stage's output by hand, small, seeded, self-consistent."""
+"""Made-up placements for tests of the placement database: each stage's output by hand, seeded, self-consistent."""
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from towns import town
-
 from farfield.bake.model import BakedLayers
 from farfield.candidates.model import BOX
 from farfield.geometry.cells import build_cells
@@ -16,6 +14,7 @@ from farfield.scene.model import Scene
 from farfield.settings import Settings
 from farfield.viewspace.model import ProblemViews
 from farfield.visibility.model import VisibleSets
+from towns import town
 
 N_INTERVALS = 6 * 8 * 8
 LIGHTING = {"ambient": 0.35, "sun": [0.4, 0.8, 0.45]}
@@ -70,7 +69,7 @@ def layered(scene: Scene, hierarchy: Hierarchy, clusters: np.ndarray, wide: bool
     """Return one to three layers for each impostor, seen from the middle of the view space."""
     sizes = (*TILES, WIDE_TILE) if wide else TILES
     tiles = [texels(w, h, k) for k, (w, h) in enumerate(sizes)]
-    eye = np.tile(scene.view_boxes[0].mean(0) + [0.25, 0.5, -0.125], (len(clusters), 1))
+    eye = np.tile(scene.view_boxes[0].mean(0) + np.array([0.25, 0.5, -0.125]), (len(clusters), 1))
     centre = hierarchy.box[clusters].mean(1)
     back = eye - centre
     back /= np.sqrt((back * back).sum(1))[:, None]
@@ -93,7 +92,8 @@ def layered(scene: Scene, hierarchy: Hierarchy, clusters: np.ndarray, wide: bool
     n = len(clusters)
     return BakedLayers(
         eye=eye, right=right, up=up, slope0=np.tile([-0.25, -0.125], (n, 1)), texel=np.full((n, 2), 1 / 512),
-        resolution=np.full((n, 2), 256, dtype=np.int32), bytes=5000 + 16 * np.arange(n), cost=np.ones(n, dtype=np.int64),
+        resolution=np.full((n, 2), 256, dtype=np.int32), bytes=5000 + 16 * np.arange(n),
+        cost=np.ones(n, dtype=np.int64),
         layer_row=np.array(layer_row), plane=near + 2, near=near, far=far,
         corner_row=np.concatenate([[0], np.cumsum([len(c) for c in corners], dtype=np.int64)]),
         corner=np.concatenate([np.zeros((0, 2)), *corners]), tile=np.array(tile, dtype=np.int32),
@@ -110,7 +110,8 @@ def made_up(
 ) -> dict[str, Any]:  # fmt: skip
     """Return the arguments of `build_files` by name, for a budget in calls.
 
-    A `share` of all pairs of cell and interval are problem views; a bound is the cost of every object, so that it holds wherever the camera is.
+    A `share` of all pairs of cell and interval are problem views; a bound is the cost of every object, so that it
+    holds wherever the camera is.
     """
     rng = np.random.default_rng(seed)
     scene = town(n_objects, seed=seed, cell_m=cell_m)
@@ -118,9 +119,9 @@ def made_up(
     scene = replace(scene, origin_m=np.array(origin_m), view_boxes=boxes)
     hierarchy = halving(scene)
     model = CostModel(
-        unit="calls", budget=budget, per_frame=per_frame, per_call=1.0, per_triangle=0.0, per_pixel=0.0, per_impostor=1.0,
-        per_impostor_triangle=0.0, per_impostor_pixel=0.0, object_fixed=scene.object_calls.copy(), fov_deg=45.0,
-        width=1280, height=720,
+        unit="calls", budget=budget, per_frame=per_frame, per_call=1.0, per_triangle=0.0, per_pixel=0.0,
+        per_impostor=1.0, per_impostor_triangle=0.0, per_impostor_pixel=0.0, object_fixed=scene.object_calls.copy(),
+        fov_deg=45.0, width=1280, height=720,
     )  # fmt: skip
     cells = build_cells(scene.view_boxes, cell_m)
     pairs = rng.random((cells.n_cells, N_INTERVALS)) < share
@@ -148,10 +149,12 @@ def made_up(
         layers=np.diff(baked.layer_row).astype(np.int32), cost=baked.cost,
         serve_row=np.concatenate([[0], np.cumsum([len(s) for s in serve], dtype=np.int64)]),
         serve=np.concatenate([np.zeros(0, np.int32), *serve]), view_cost=view_cost,
-        view_target=np.where(hopeless, view_cost, model.target), view_best=np.where(hopeless, view_cost, 1), hopeless=hopeless,
+        view_target=np.where(hopeless, view_cost, model.target), view_best=np.where(hopeless, view_cost, 1),
+        hopeless=hopeless,
         culprit_row=np.arange(n_hopeless + 1, dtype=np.int64) * 2,
         culprit=np.tile(np.arange(2, dtype=np.int32), n_hopeless),
-        smallest_budget=int(view_cost.max(initial=0)) + per_frame, step_view_cost=np.arange(3, 0, -1), step_bytes=np.arange(3),
+        smallest_budget=int(view_cost.max(initial=0)) + per_frame,
+        step_view_cost=np.arange(3, 0, -1), step_bytes=np.arange(3),
     )  # fmt: skip
     sets = VisibleSets(mode="off", row=np.zeros(0, np.int64), object=np.zeros(0, np.int32))
     if visible:

@@ -1,11 +1,13 @@
-"""Write tests/golden/placementdb and placementdb-visible: `PYTHONPATH=tests .venv/bin/python tests/golden/make_placementdb.py`.
+"""Write tests/golden/placementdb and placementdb-visible:
 
-Run it after a change of the format (raise VERSION in farfield/placementdb/layout.py and tell the TypeScript reader). The
+    PYTHONPATH=tests .venv/bin/python tests/golden/make_placementdb.py
+
+Run it after a change of the format (raise VERSION in farfield/placementdb/layout.py, change the TypeScript reader). The
 expected answers come from tests/naive/placementdb.py, not from either reader.
 
     manifest.json, index-*, chunks/, pages/    a placement database
-    lookups.json    {"lookups": [{position, direction, cell, interval, problem_view, hopeless, objects, impostors, cost_bound}],
-                     "outside": [positions to refuse], "bad_directions": [directions to refuse]}
+    lookups.json    "lookups": [{position, direction, cell, interval, problem_view, hopeless, objects, impostors,
+                    cost_bound}], "outside": [positions to refuse], "bad_directions": [directions to refuse]
 """
 
 import json
@@ -14,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from farfield.placementdb.write import build_files
 from naive.placementdb import lookup
 from placements import made_up
-
-from farfield.placementdb.write import build_files
 
 HERE = Path(__file__).parent
 # Two boxes that share a face, one that stands apart, and one that is flat.
@@ -60,7 +61,7 @@ def _questions(made: dict[str, Any]) -> list[tuple[np.ndarray, np.ndarray]]:
         out += [(low + (high - low) * rng.random(3), rng.normal(size=3)) for _ in range(8)]
         corners = [np.where([k & 1, k & 2, k & 4], high, low) for k in range(8)]
         out += [(corner, rng.normal(size=3) * 10.0 ** rng.integers(-3, 4)) for corner in corners]
-        out += [(corner + [0.0, 9.0, 0.0], np.array([1.0, 0.0, 0.0])) for corner in corners[:2]]
+        out += [(corner + np.array([0.0, 9.0, 0.0]), np.array([1.0, 0.0, 0.0])) for corner in corners[:2]]
     middle = boxes[0].mean(0)
     for d in (
         [1, 1, 1],

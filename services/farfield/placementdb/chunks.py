@@ -37,8 +37,8 @@ def chunk_nodes(cells: CellTree, most: int = CELLS) -> list[int]:
 
 
 def build_chunks(
-    cells: CellTree, visible: VisibleSets, views: ProblemViews, placement: Placement, baked: BakedLayers, pieces: Pieces,
-    *, block_page: np.ndarray, block_at: np.ndarray,
+    cells: CellTree, visible: VisibleSets, views: ProblemViews, placement: Placement, baked: BakedLayers,
+    pieces: Pieces, *, block_page: np.ndarray, block_at: np.ndarray,
 ) -> list[Chunk]:  # fmt: skip
     """Return the chunks that have something to say, in order of their cells.
 
@@ -85,7 +85,8 @@ def _visible_columns(visible: VisibleSets, cells: tuple[int, int]) -> dict[str, 
 def _once(lists: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (which distinct list each is, CSR rows of the distinct ones, their entries), in order of first use."""
     known: dict[bytes, int] = {}
-    which, distinct = [], []
+    which: list[int] = []
+    distinct: list[np.ndarray] = []
     for entries in lists:
         entries = np.ascontiguousarray(entries, dtype=np.int32)
         key = entries.tobytes()

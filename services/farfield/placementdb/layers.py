@@ -39,7 +39,8 @@ def cut_layers(baked: BakedLayers, shown: np.ndarray) -> Pieces:
     """Return the pieces of the impostors with `shown` (I,) bool. Blocks are numbered in order of first use."""
     blocks: dict[tuple[int, int, int, int, int], int] = {}
     covered: dict[tuple[int, int, int, int, int], bool] = {}
-    row, layers, numbers, used, corners, counts = [0], [], [], [], [], [0]
+    row, layers, numbers, used, counts = [0], [], [], [], [0]
+    corners: Polygon = []
     for i in range(len(baked.eye)):
         first, stop = int(baked.layer_row[i]), int(baked.layer_row[i + 1])
         for layer in range(first, stop if shown[i] else first):
@@ -69,10 +70,11 @@ def cut_layers(baked: BakedLayers, shown: np.ndarray) -> Pieces:
     origin = baked.tile_at[layer_of] + keys[block_of, 1:3] if len(layer_of) else np.zeros((0, 2))
     grid = corner + np.repeat(origin, np.diff(corner_row), axis=0)
     impostor = np.repeat(np.arange(len(baked.eye)), np.diff(row))
+    impostor_of, layer_at = (np.repeat(ids, np.diff(corner_row)) for ids in (impostor, layer_of))
     return Pieces(
         row=np.array(row, dtype=np.int64), layer=layer_of, number=np.array(numbers, dtype=np.int64), block=block_of,
         corner_row=corner_row, corner=corner, block_tile=keys[:, 0], block_rect=keys[:, 1:],
-        position=_positions(baked, np.repeat(impostor, np.diff(corner_row)), np.repeat(layer_of, np.diff(corner_row)), grid),
+        position=_positions(baked, impostor_of, layer_at, grid),
     )  # fmt: skip
 
 
@@ -98,7 +100,7 @@ def _pieces(polygon: Polygon, width: int, height: int) -> list[tuple[int, int, i
             inside = clip(inside, axis, 0.0, low=False)
         if any(p[axis] > bound for p in inside):
             inside = clip(inside, axis, float(bound), low=True)
-    out = []
+    out: list[tuple[int, int, int, int, Polygon]] = []
     for x, w, column in _cut(inside, 0, width):
         out.extend((x, y, w, h, part) for y, h, part in _cut(column, 1, height) if _area(part) > 0)
     return out

@@ -1,4 +1,4 @@
-"""Names, types and shapes of the placement database: what writer and reader must agree on (docs/formats/placementdb.md)."""
+"""Names, types and shapes of the placement database: what writer and reader agree on (docs/formats/placementdb.md)."""
 
 from collections.abc import Mapping
 

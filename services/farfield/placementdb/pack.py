@@ -2,7 +2,8 @@
 
 Problem  Blocks of 1 to 1024 texels a side, few pages, and a viewer that holds the pages of the cells around it.
 Method   Blocks come in an order of locality (who serves which cells). Take as many in a row as would fill a page, pack
-         them largest first with MaxRects (best short side fit); what does not fit goes first into the next page.
+         them largest first with MaxRects (best short side fit); what does not fit goes into the next page, before
+         all others: left to its size, a small one would be last again and wander on from page to page.
          All is done in units of 8 texels, so that no texel of any stored mip level lies over two blocks.
 After    J. Jylänki. A Thousand Ways to Pack the Bin. 2010 (the library `rectpack`).
 
@@ -31,10 +32,11 @@ def pack_blocks(size: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.nda
     area = units[:, 0] * units[:, 1]
     page, at = np.full(len(size), -1, dtype=np.int64), np.zeros((len(size), 2), dtype=np.int64)
     rest, n_pages = [int(b) for b in order], 0
+    left_over: set[int] = set()
     while rest:
         filled = np.cumsum(area[rest])
         n_taken = max(1, int(np.searchsorted(filled, _UNITS * _UNITS, side="right")))
-        taken = sorted(rest[:n_taken], key=lambda b: (-max(units[b]), -min(units[b]), b))
+        taken = sorted(rest[:n_taken], key=lambda b: (b not in left_over, -max(units[b]), -min(units[b]), b))
         packer = rectpack.newPacker(
             mode=rectpack.PackingMode.Offline, bin_algo=rectpack.PackingBin.BFF, pack_algo=rectpack.MaxRectsBssf,
             sort_algo=rectpack.SORT_NONE, rotation=False,
@@ -46,5 +48,6 @@ def pack_blocks(size: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.nda
         for _, x, y, _, _, b in packer.rect_list():
             page[b], at[b] = n_pages, (x * ALIGN_TEXELS, y * ALIGN_TEXELS)
         n_pages += 1
+        left_over = {b for b in taken if page[b] < 0}
         rest = [b for b in rest if page[b] < 0]
     return page, at

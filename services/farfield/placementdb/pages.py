@@ -1,9 +1,10 @@
 """Draw atlas pages: blocks, mip levels by the maximum of alpha and the mean of covered colour, lossless WebP.
 
-Method   Sums of linear light and counts of covered texels go down from level 0, so every level is exact from level 0 and
-         not from rounded bytes: integers, hence the same on every machine. Blocks lie at multiples of 8 texels, so
+Method   Sums of linear light and counts of covered texels go down from level 0, so every level is exact from level 0
+         and not from rounded bytes: integers, hence the same on every machine. Blocks lie at multiples of 8 texels, so
          a texel of the coarsest level lies over one block only and a page can be reduced as a whole.
-Tried    WebP lossless, one page of a city's impostors: see `METHOD`.
+Tried    WebP lossless, seconds and KiB of one page of flat-shaded walls with slopes of depth (method, quality):
+         (0, 0) 0.14 128, (0, 75) 0.02 106, (1, 0) 0.14 101, (1, 50) 0.23 90, (1, 100) 0.36 90, (4, 50) 0.30 91.
 """
 
 import io
@@ -15,7 +16,7 @@ from PIL import Image
 
 from farfield.placementdb.layout import LEVELS, PAGE_HEIGHT, PAGE_TEXELS, PAGE_WIDTH
 
-METHOD, QUALITY = 2, 50  # effort of the encoder: 0..6, 0..100
+METHOD, QUALITY = 1, 50  # effort of the encoder: 0..6, 0..100
 
 # A block of texels at its place: (x, y, (h, w, 4) u1)
 Block = tuple[int, int, np.ndarray]

@@ -228,7 +228,8 @@ class Impostors(Sequence[Impostor]):
         i = range(len(self))[int(i)]
         index, chunk = self._of.index, int(self._of.index["impostor_chunk"][i])
         cluster = int(index["impostor_cluster"][i])
-        eye, layers = np.full(3, np.nan), ()
+        eye = np.full(3, np.nan)
+        layers: tuple[Layer, ...] = ()
         if chunk >= 0:
             columns = self._of.chunk(chunk)
             m = int(np.searchsorted(columns["impostor_id"], i))

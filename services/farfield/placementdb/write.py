@@ -1,9 +1,9 @@
 """Write the placement database: everything -> named files.
 
 Problem  A viewer wants, at a cell and a direction, what to draw, from few files that never change under their names.
-Method   Cut layers into polygons over blocks of texels (`layers`), lay the blocks out on pages in the order of the cells
-         that show them (`pack`, `pages`), cut the lists along the view-space tree (`chunks`), name each file by its
-         digest, and state all of them in one manifest. Format: docs/formats/placementdb.md.
+Method   Cut layers into polygons over blocks of texels (`layers`), lay the blocks out on pages in the order of the
+         cells that show them (`pack`, `pages`), cut the lists along the view-space tree (`chunks`), name each file by
+         its digest, and state all of them in one manifest. Format: docs/formats/placementdb.md.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ from farfield.visibility.model import VisibleSets
 
 
 def verdict_of(model: CostModel, placement: Placement) -> str:
-    """Return `valid` (every problem view within the target), `infeasible` (only hopeless ones over it), or `unproven`."""
+    """Return `valid` (every problem view meets the target), `infeasible` (only hopeless ones do not), or `unproven`."""
     over = placement.view_cost > model.target
     if (over & ~placement.hopeless).any():
         return "unproven"
@@ -49,7 +49,7 @@ def build_files(
     """Return the files of `placement/`, relative name -> content, the same bytes for any number of `threads`.
 
     placement    after `repair`: costs and bytes as measured; its impostors are those of `baked`, row by row
-    digests      name -> SHA-256 (hex) of what went in; that of "scene.glb", where given, is stated as the viewer's level
+    digests      name -> SHA-256 (hex) of what went in; "scene.glb", where given, is stated as the viewer's level
     lighting     how geometry and impostors are shaded alike, JSON values; None: as the bake shades
     threads      that encode pages; None: as many as this process may use
     """
@@ -92,8 +92,9 @@ def build_files(
         add("pages/", page, ".webp") | {"impostors": int((users == k).sum())} for k, page in enumerate(pages)
     ]
     listed = [index_entry, *chunk_entries, *page_entries]
-    manifest = _manifest(scene, hierarchy, model, cells, visible, views, placement, settings) | {
-        "counts": _counts(scene, hierarchy, cells, views, placement, pieces) | {"chunks": len(chunks), "pages": len(pages)},
+    counts = _counts(scene, hierarchy, cells, views, placement, pieces)
+    manifest = _manifest(scene, model, visible, views, placement, settings) | {
+        "counts": counts | {"chunks": len(chunks), "pages": len(pages)},
         "index": index_entry, "chunks": chunk_entries, "pages": page_entries,
         "file_bytes": sum(entry["bytes"] for entry in listed),
         "video_bytes": len(pages) * layout.PAGE_WIDTH * layout.PAGE_HEIGHT * 4,
@@ -170,14 +171,14 @@ def _counts(
     return {
         "objects": scene.n_objects, "triangles": int(scene.object_triangles.sum()), "clusters": len(hierarchy.start),
         "nodes": len(cells.axis), "cells": cells.n_cells, "problem_views": len(views.cell),
-        "hopeless_views": int(placement.hopeless.sum()), "impostors": len(placement.cluster), "layers": len(pieces.layer),
+        "hopeless_views": int(placement.hopeless.sum()), "impostors": len(placement.cluster),
+        "layers": len(pieces.layer),
     }  # fmt: skip
 
 
 def _manifest(
-    scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, visible: VisibleSets, views: ProblemViews,
-    placement: Placement, settings: Settings,
-) -> dict[str, Any]:  # fmt: skip
+    scene: Scene, model: CostModel, visible: VisibleSets, views: ProblemViews, placement: Placement, settings: Settings
+) -> dict[str, Any]:
     origin = scene.origin_m
     low, high = scene.object_box[:, 0], scene.object_box[:, 1]
     prices = ("call", "triangle", "pixel", "impostor", "impostor_triangle", "impostor_pixel")
