@@ -1,0 +1,161 @@
+/**
+ * The placement database as a whole: manifest, index, and chunks as they come. No DOM, no WebGL.
+ *
+ * `fetchBytes` is how files arrive (network, disk); each is checked against the manifest's size and SHA-256.
+ */
+import { findCell } from "../select/cells";
+import { findInterval } from "../select/intervals";
+import { readChunk, type PlacementChunk } from "./chunk";
+import { ColumnsAltered, ColumnsTruncated, DirectionInvalid, OutsideViewSpace, PlacementFileMissing } from "./errors";
+import { readIndex, type PlacementIndex } from "./index_file";
+import { readManifest, type FileEntry, type Manifest } from "./manifest";
+import { sha256 } from "./sha256";
+
+/** Resolves to null where the file does not exist; `name` is relative to the placement. */
+export type FetchBytes = (name: string, signal?: AbortSignal) => Promise<Uint8Array | null>;
+
+/** What one position and direction show; `objects` is null where every object is visible and none is covered. */
+export interface Lookup {
+  cell: number;
+  interval: number;
+  problemView: number | null;
+  hopeless: boolean;
+  impostors: number[];
+  objects: number[];
+  costBound: number;
+}
+
+export class Placement {
+  readonly manifest: Manifest;
+  readonly index: PlacementIndex;
+  private readonly fetchBytes: FetchBytes;
+  private readonly loaded = new Map<number, PlacementChunk>();
+
+  private constructor(manifest: Manifest, index: PlacementIndex, fetchBytes: FetchBytes) {
+    this.manifest = manifest;
+    this.index = index;
+    this.fetchBytes = fetchBytes;
+  }
+
+  static async open(fetchBytes: FetchBytes): Promise<Placement> {
+    const bytes = await fetchBytes("manifest.json");
+    if (!bytes) throw new PlacementFileMissing("manifest.json");
+    const manifest = await readManifest(bytes, "manifest.json");
+    const indexBytes = await fetchChecked(fetchBytes, manifest.index);
+    return new Placement(manifest, readIndex(indexBytes, manifest.index.file, manifest), fetchBytes);
+  }
+
+  /** Bytes of a page file (WebP), checked. */
+  page(id: number, signal?: AbortSignal): Promise<Uint8Array> {
+    return fetchChecked(this.fetchBytes, this.manifest.pages[id], signal);
+  }
+
+  /** The chunk, fetched when it is not there yet. */
+  async chunk(number: number, signal?: AbortSignal): Promise<PlacementChunk> {
+    const known = this.loaded.get(number);
+    if (known) return known;
+    const entry = this.manifest.chunks[number];
+    const chunk = readChunk(await fetchChecked(this.fetchBytes, entry, signal), entry.file, this.manifest, number);
+    this.loaded.set(number, chunk);
+    return chunk;
+  }
+
+  residentChunk(number: number): PlacementChunk | undefined {
+    return this.loaded.get(number);
+  }
+
+  dropChunk(number: number): void {
+    this.loaded.delete(number);
+  }
+
+  /** Checks every file against its size, digest and structure. */
+  async check(): Promise<void> {
+    for (let k = 0; k < this.manifest.chunks.length; k++) await this.chunk(k);
+    for (let p = 0; p < this.manifest.pages.length; p++) await this.page(p);
+  }
+
+  /** Format section 6, all steps; fetches the chunk where needed. `OutsideViewSpace`, `DirectionInvalid`. */
+  async lookup(position: ArrayLike<number>, direction: ArrayLike<number>): Promise<Lookup> {
+    const cell = findCell(this.index, this.manifest, position);
+    if (cell < 0) throw new OutsideViewSpace(position);
+    const interval = findInterval(this.manifest.interval_edges, direction);
+    if (interval < 0) throw new DirectionInvalid(direction);
+    const number = chunkOfCell(this.manifest, cell);
+    return describe(this, cell, interval, number < 0 ? null : await this.chunk(number));
+  }
+}
+
+/** Position in the manifest's list of the chunk that holds the cell, -1 if none does. */
+export function chunkOfCell(manifest: Manifest, cell: number): number {
+  let low = 0;
+  let high = manifest.chunks.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (manifest.chunks[middle].cells[1] <= cell) low = middle + 1;
+    else high = middle;
+  }
+  return low < manifest.chunks.length && manifest.chunks[low].cells[0] <= cell ? low : -1;
+}
+
+/** Local problem view of a cell and interval in its chunk, -1 if that pair is none. */
+export function viewInChunk(chunk: PlacementChunk, cell: number, interval: number): number {
+  const c = cell - chunk.cells[0];
+  let low = chunk.cellView[c];
+  let high = chunk.cellView[c + 1];
+  const end = high;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (chunk.viewInterval[middle] < interval) low = middle + 1;
+    else high = middle;
+  }
+  return low < end && chunk.viewInterval[low] === interval ? low : -1;
+}
+
+/** The visible objects of a cell, ascending; null: all of them. */
+export function visibleOfCell(chunk: PlacementChunk | null, cell: number): Int32Array | null {
+  if (!chunk || !chunk.cellVisible.length) return null;
+  const list = chunk.cellVisible[cell - chunk.cells[0]];
+  return chunk.visibleObject.subarray(chunk.visibleRow[list], chunk.visibleRow[list + 1]);
+}
+
+/** Local impostors of a local problem view, ascending. */
+export function impostorsOfView(chunk: PlacementChunk, view: number): Int32Array {
+  const list = chunk.viewList[view];
+  return chunk.listImpostor.subarray(chunk.listRow[list], chunk.listRow[list + 1]);
+}
+
+function describe(p: Placement, cell: number, interval: number, chunk: PlacementChunk | null): Lookup {
+  const { manifest, index } = p;
+  const view = chunk ? viewInChunk(chunk, cell, interval) : -1;
+  const impostors = chunk && view >= 0 ? Array.from(impostorsOfView(chunk, view), (m) => chunk.impostorId[m]) : [];
+  const covered = new Uint8Array(manifest.counts.objects);
+  for (const id of impostors) {
+    const cluster = index.impostorCluster[id];
+    covered.fill(1, index.clusterStart[cluster], index.clusterStop[cluster]);
+  }
+  const visible = visibleOfCell(chunk, cell) ?? Int32Array.from(covered.keys());
+  const bound = chunk && view >= 0 ? chunk.viewCost[view] : manifest.worst_nonproblem;
+  return {
+    cell,
+    interval,
+    problemView: chunk && view >= 0 ? chunk.views[0] + view : null,
+    hopeless: chunk !== null && view >= 0 && chunk.viewHopeless[view] !== 0,
+    impostors,
+    objects: Array.from(visible).filter((o) => !covered[o]),
+    costBound: manifest.cost_model.per_frame + bound,
+  };
+}
+
+/** Fetches a file and checks size, then digest; throws what the format's section 7 says. */
+async function fetchChecked(fetchBytes: FetchBytes, entry: FileEntry, signal?: AbortSignal): Promise<Uint8Array> {
+  const bytes = await fetchBytes(entry.file, signal);
+  if (!bytes) throw new PlacementFileMissing(entry.file);
+  await checkFile(bytes, entry);
+  return bytes;
+}
+
+async function checkFile(bytes: Uint8Array, entry: FileEntry): Promise<void> {
+  if (bytes.length < entry.bytes) throw new ColumnsTruncated(entry.file, bytes.length, entry.bytes);
+  if (bytes.length > entry.bytes) throw new ColumnsAltered(entry.file, `it has ${bytes.length} bytes, not ${entry.bytes}`);
+  if ((await sha256(bytes)) !== entry.sha256) throw new ColumnsAltered(entry.file, "its SHA-256 is not the one in the manifest");
+}
