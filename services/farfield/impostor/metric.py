@@ -3,7 +3,7 @@
 Problem  An object lies between t0 and t_far in front of a view cell. Where must layers stand so that, from anywhere in
          the cell, no gap of more than a texel opens between them and nothing is seen off by more than alpha?
 Method   First layer as far behind t0 as may be (7), then the largest gap-free step (2), (3), (5), until a layer
-         serves to t_far; borders by (6). A count in constant time comes first, so that the loop is never entered in vain. The
+         serves to t_far; borders by (6). A count in constant time comes first, so that no loop is entered in vain. The
          reference viewpoint s is searched: the estimate decides, ties go to the smallest.
 After    Jeschke and Wimmer. An Error Metric for Layered Environment Map Impostors. 2002. Changed: parallax from every
          viewpoint in 3D (`depth_safe`), the last layer clamped to t_far, stable forms.
@@ -126,7 +126,7 @@ def spacing(setup: Setup, t: float, s: float) -> float:
 
 
 def depth_range(setup: Setup, t: float, s: float) -> float:
-    """Return e: how far behind t points may lie that a layer at t shows (or one at t + e before it); may be infinite."""
+    """Return e: how far behind t points may lie that a layer at t shows (or one at t + e, before it); may be inf."""
     return _depth(setup, t, s, _terms(setup, s))
 
 

@@ -1,8 +1,8 @@
 """Plan the layers of an impostor: the one function that bounds candidates and that the bake follows.
 
 Problem  A cluster's box and a view cell. Give the reference viewpoint, the texel grid and the layers such that from
-         every viewpoint of the view cell no point of the cluster, shown on its layer's plane, is off by more than the pixel
-         error, no crack wider than a texel opens between layers, and no texel is magnified beyond an output pixel.
+         every viewpoint of the view cell no point of the cluster, shown on its layer's plane, is off by more than the
+         pixel error, no crack wider than a texel opens between layers, and no texel is magnified beyond a pixel.
 Method   `frames.lay_out` in a few frames that face the cluster; the lightest wins, ties to the first.
 Errs     Towards more layers and texels.
 After    Jeschke and Wimmer 2002 and error-metric.md sections 2 to 8, general form for any convex view cell.
