@@ -1,0 +1,256 @@
+"""RawScene -> Level: metres, y up, float32 vertices, one pack of columns; nothing degenerate, every vertex with a normal.
+
+Flat normals, as glTF asks, where a file has none: vertices are split where faces of different planes meet. A face normal
+is rounded to 2**-14 first, so that the triangles of one plane share their vertices (error below 4e-5 rad).
+A mesh that lies far from its own origin (a national grid) is moved there and its matrix moved back in float64: exactly
+for float32 files (subtracting a float32 within a factor of two is exact, Sterbenz), by one common offset for text files,
+so that neighbours stay without gaps.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from farfield.errors import SceneEmpty, SceneNotFinite
+from farfield.scene import kernels
+from farfield.scene.gltf import compose
+from farfield.scene.raw import RawMaterial, RawPrimitive, RawScene, RawTexture
+
+_FAR = 16.0  # scene extents from its own origin at which a mesh is moved
+_NORMAL_STEPS = 2**14
+VERTEX_BYTES, TRIANGLE_BYTES = 36, 12
+
+
+@dataclass(slots=True, kw_only=True)
+class Level:
+    """Columns as in Scene, but absolute (scene metres), in the file's order and before splitting."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    uv: np.ndarray
+    color: np.ndarray
+    index: np.ndarray  # int64
+    primitive_triangle: np.ndarray
+    primitive_vertex: np.ndarray
+    primitive_material: np.ndarray
+    mesh_primitive: np.ndarray
+    object_mesh: np.ndarray
+    object_matrix: np.ndarray
+    object_box: np.ndarray
+    object_name: list[str]
+    materials: list[RawMaterial]
+    textures: list[RawTexture]
+    dropped_triangles: int
+    warnings: list[str]
+
+    def mesh_triangles(self) -> np.ndarray:
+        """(M+1,) int64: mesh m has triangles [m, m+1)."""
+        return self.primitive_triangle[self.mesh_primitive]
+
+    def mesh_vertices(self) -> np.ndarray:
+        """(M+1,) int64: mesh m has vertices [m, m+1)."""
+        return self.primitive_vertex[self.mesh_primitive]
+
+
+def build_level(raw: RawScene, *, unit_m: float, up: str) -> Level:
+    """Return the packed level. Raises SceneEmpty, SceneNotFinite."""
+    turn = np.diag([unit_m, unit_m, unit_m, 1.0])
+    if up == "z":
+        turn[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]) * unit_m
+    nodes = [n for n in raw.nodes if raw.meshes[n.mesh]]
+    matrices = [compose(turn, n.matrix) for n in nodes]
+    placed = [i for i, m in enumerate(matrices) if _spans_a_plane(m[:3, :3])]
+    warnings = list(raw.warnings)
+    if len(placed) < len(nodes):
+        warnings.append(f"{len(nodes) - len(placed)} objects are scaled to a line or a point; they are left out.")
+    nodes, matrices = [nodes[i] for i in placed], [matrices[i] for i in placed]
+    if not nodes:
+        raise SceneEmpty("The scene has no triangles.")
+    offsets = _offsets(raw, [n.mesh for n in nodes], matrices)
+    for n, matrix in zip(nodes, matrices):
+        if n.mesh in offsets:
+            matrix[:3, 3] += (matrix[:3, :3] * offsets[n.mesh]).sum(1)
+    level = _pack(raw, {n.mesh for n in nodes}, offsets, warnings)
+    _drop_degenerate_and_split_normals(level, np.array([n.mesh for n in nodes], dtype=np.int64), matrices, nodes)
+    return level
+
+
+def _spans_a_plane(linear: np.ndarray) -> bool:
+    a, b, c = linear.T
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.cross(a, b).any() or np.cross(b, c).any() or np.cross(c, a).any())
+
+
+def _offsets(raw: RawScene, used: list[int], matrices: list[np.ndarray]) -> dict[int, np.ndarray]:
+    """Return what to subtract from the positions of a mesh, file units; meshes that stay are not in it."""
+    bounds = {
+        m: (np.min([p.position.min(0) for p in raw.meshes[m]], 0).astype(np.float64),
+            np.max([p.position.max(0) for p in raw.meshes[m]], 0).astype(np.float64))
+        for m in set(used)
+    }  # fmt: skip
+    if next(iter(raw.meshes[used[0]])).position.dtype == np.float64:
+        low, high = np.min([b[0] for b in bounds.values()], 0), np.max([b[1] for b in bounds.values()], 0)
+        extent, middle = float((high - low).max()), low * 0.5 + high * 0.5
+        step = 2.0 ** math.floor(math.log2(extent)) if extent > 0 else 1.0
+        offset = np.where(np.abs(middle) > 4 * extent, np.rint(middle / step) * step, 0.0)
+        return {m: offset for m in bounds} if offset.any() else {}
+    # World extent of the scene, from the middles and half sides of the meshes' boxes.
+    middles, halves = [], []
+    for m, matrix in zip(used, matrices):
+        low, high = bounds[m]
+        middles.append((matrix[:3, :3] * (low * 0.5 + high * 0.5)).sum(1) + matrix[:3, 3])
+        halves.append((np.abs(matrix[:3, :3]) * (high * 0.5 - low * 0.5)).sum(1))
+    low, high = np.min(np.subtract(middles, halves), 0), np.max(np.add(middles, halves), 0)
+    extent = float((high - low).max())
+    found = {}
+    for m, matrix in zip(used, matrices):
+        middle = np.float32(bounds[m][0] * 0.5 + bounds[m][1] * 0.5).astype(np.float64)
+        half = bounds[m][1] * 0.5 - bounds[m][0] * 0.5
+        reach = np.abs(matrix[:3, :3]).max(0) * np.abs(middle)
+        offset = np.where((reach > _FAR * extent) & (np.abs(middle) > 4 * half), middle, 0.0)
+        if m not in found and offset.any():
+            found[m] = offset
+    return found
+
+
+def _pack(raw: RawScene, used: set[int], offsets: dict[int, np.ndarray], warnings: list[str]) -> Level:
+    """Concatenate the primitives of the meshes in use."""
+    materials = list(raw.materials)
+    primitives: list[RawPrimitive] = []
+    mesh_primitive = np.zeros(len(raw.meshes) + 1, dtype=np.int64)
+    columns: dict[str, list[np.ndarray]] = {"position": [], "normal": [], "uv": [], "color": [], "index": []}
+    vertex = 0
+    for m in range(len(raw.meshes)):
+        for p in raw.meshes[m] if m in used else []:
+            n = len(p.position)
+            if p.material < 0:
+                if len(materials) == len(raw.materials):
+                    materials.append(RawMaterial(name="default", double_sided=raw.default_double_sided))
+                p.material = len(materials) - 1
+            moved = p.position if m not in offsets else p.position.astype(np.float64) - offsets[m]
+            with np.errstate(over="ignore"):
+                columns["position"].append(moved.astype(np.float32))
+            columns["normal"].append(_unit(p.normal, n))
+            uv = p.uv if p.uv is not None and materials[p.material].texture >= 0 else np.zeros((n, 2), np.float32)
+            columns["uv"].append(_cleaned(uv, 0.0, "texture coordinates", warnings))
+            color = p.color if p.color is not None else np.ones((n, 4), np.float32)
+            columns["color"].append(np.clip(_cleaned(color, 1.0, "vertex colours", warnings), 0.0, 1.0))
+            columns["index"].append(p.index + vertex)
+            vertex += n
+            primitives.append(p)
+        mesh_primitive[m + 1] = len(primitives)
+    packed = {name: np.concatenate(arrays) for name, arrays in columns.items()}
+    if not np.isfinite(packed["position"]).all():
+        raise SceneNotFinite("A vertex position is too large for a 32-bit number.")
+    count = lambda sizes: np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)  # noqa: E731
+    return Level(
+        **packed, primitive_triangle=count([len(p.index) for p in primitives]),
+        primitive_vertex=count([len(p.position) for p in primitives]),
+        primitive_material=np.array([p.material for p in primitives], dtype=np.int32), mesh_primitive=mesh_primitive,
+        object_mesh=np.zeros(0, np.int32), object_matrix=np.zeros((0, 3, 4)), object_box=np.zeros((0, 2, 3)),
+        object_name=[], materials=materials, textures=list(raw.textures), dropped_triangles=raw.dropped_triangles,
+        warnings=warnings,
+    )  # fmt: skip
+
+
+def _unit(normal: np.ndarray | None, n: int) -> np.ndarray:
+    """Unit normals, zero where the file has none that can be used."""
+    if normal is None:
+        return np.zeros((n, 3), dtype=np.float32)
+    wide = normal.astype(np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.sqrt(wide[:, 0] * wide[:, 0] + wide[:, 1] * wide[:, 1] + wide[:, 2] * wide[:, 2])
+    usable = np.isfinite(length) & (length > 1e-12)
+    wide[~usable] = 0.0
+    length[~usable] = 1.0
+    # What is unit up to float32 stays as it is: reading back what was written changes nothing.
+    length[np.abs(length - 1.0) < 1e-6] = 1.0
+    return (wide / length[:, None]).astype(np.float32)
+
+
+def _cleaned(array: np.ndarray, default: float, what: str, warnings: list[str]) -> np.ndarray:
+    if np.isfinite(array).all():
+        return array
+    text = f"Some {what} are not finite; they count as {default:g}."
+    if text not in warnings:
+        warnings.append(text)
+    return np.where(np.isfinite(array), array, np.float32(default)).astype(np.float32)
+
+
+def _drop_degenerate_and_split_normals(level: Level, mesh: np.ndarray, matrices: list, nodes: list) -> None:
+    """Drop triangles without area and unused vertices, fill in flat normals, then place the objects that are left."""
+    keep = np.zeros(len(level.index), dtype=np.bool_)
+    kernels.solid_triangles(level.position, level.index, keep)
+    level.dropped_triangles += int(len(keep) - keep.sum())
+    if not keep.any():
+        raise SceneEmpty("The scene has no triangles with an area.")
+    index = level.index[keep]
+    primitive = np.repeat(np.arange(len(level.primitive_material)), np.diff(level.primitive_triangle))[keep]
+    missing = ~level.normal.any(1)
+    corner, flat = index.reshape(-1), np.zeros((1, 3), dtype=np.float32)
+    side = np.zeros(len(corner), dtype=np.int64)
+    if missing[corner].any():
+        flat_normal = np.empty((len(index), 3))
+        kernels.face_normals(level.position, index, flat_normal)
+        steps = np.rint(flat_normal * _NORMAL_STEPS).astype(np.int64)
+        shifted = steps + _NORMAL_STEPS
+        key = (shifted[:, 0] << 32) | (shifted[:, 1] << 16) | shifted[:, 2]
+        _, first, of_face = np.unique(key, return_index=True, return_inverse=True)
+        wide = steps[first].astype(np.float64)
+        wide /= np.sqrt((wide * wide).sum(1))[:, None]
+        flat = np.concatenate([flat, wide.astype(np.float32)])
+        side = np.where(missing[corner], np.repeat(of_face.reshape(-1) + 1, 3), 0)
+    pair, inverse = np.unique(corner * len(flat) + side, return_inverse=True)
+    source, side = pair // len(flat), pair % len(flat)
+    level.index = inverse.reshape(-1, 3).astype(np.int64)
+    vertex_primitive = np.searchsorted(level.primitive_vertex, source, side="right") - 1
+    level.normal = np.where(side[:, None] > 0, flat[side], level.normal[source])
+    level.position, level.uv, level.color = level.position[source], level.uv[source], level.color[source]
+
+    counts = np.bincount(primitive, minlength=len(level.primitive_material))
+    full = np.flatnonzero(counts)
+    level.primitive_triangle = np.concatenate([[0], np.cumsum(counts[full])])
+    level.primitive_vertex = np.searchsorted(vertex_primitive, np.append(full, len(counts)))
+    level.primitive_material = level.primitive_material[full]
+    mesh_primitive = np.searchsorted(full, level.mesh_primitive)
+    full_mesh = np.flatnonzero(np.diff(mesh_primitive))
+    level.mesh_primitive = np.append(mesh_primitive[full_mesh], mesh_primitive[-1])
+    number = np.full(len(mesh_primitive) - 1, -1)
+    number[full_mesh] = np.arange(len(full_mesh))
+    placed = np.flatnonzero(number[mesh] >= 0)
+    level.object_mesh = number[mesh[placed]].astype(np.int32)
+    level.object_matrix = np.array([matrices[i][:3] for i in placed.tolist()])
+    level.object_name = [nodes[i].name for i in placed.tolist()]
+    measure(level)
+
+
+def measure(level: Level) -> None:
+    """Compute object_box from vertices and matrices. Raises SceneNotFinite."""
+    ends = level.mesh_vertices()
+    level.object_box = np.empty((len(level.object_mesh), 2, 3))
+    kernels.object_boxes(
+        level.position, ends[:-1], ends[1:], level.object_mesh, np.ascontiguousarray(level.object_matrix), level.object_box
+    )
+    if not np.isfinite(level.object_box).all():
+        bad = int(np.flatnonzero(~np.isfinite(level.object_box).all((1, 2)))[0])
+        raise SceneNotFinite(f"The object {level.object_name[bad]!r:.80} has positions that are not finite.")
+
+
+def repack(level: Level, triangle: np.ndarray, primitive_triangle: np.ndarray) -> None:
+    """Make primitives of the given triangles: primitive p takes level.index[triangle[p]..]; vertices follow, in order.
+
+    triangle            (T',) int64 triangles of the level; one may occur in several primitives
+    primitive_triangle  (P'+1,) int64 ranges of it
+    Materials, meshes and objects stay to be set by the caller.
+    """
+    n_vertices = len(level.position)
+    primitive = np.repeat(np.arange(len(primitive_triangle) - 1), np.diff(primitive_triangle))
+    key = np.repeat(primitive, 3) * n_vertices + level.index[triangle].reshape(-1)
+    pair, inverse = np.unique(key, return_inverse=True)
+    source = pair % n_vertices
+    level.index = inverse.reshape(-1, 3)
+    level.position, level.normal = level.position[source], level.normal[source]
+    level.uv, level.color = level.uv[source], level.color[source]
+    level.primitive_triangle = primitive_triangle
+    level.primitive_vertex = np.searchsorted(pair, np.arange(len(primitive_triangle)) * n_vertices)
