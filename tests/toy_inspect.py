@@ -3,8 +3,9 @@
 import json
 import sys
 import time
+from pathlib import Path
 
-text = open(sys.argv[-1], encoding="utf-8").read()
+text = Path(sys.argv[-1]).read_text(encoding="utf-8")
 try:
     scene = json.loads(text)
 except ValueError:

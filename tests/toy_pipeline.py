@@ -1,6 +1,6 @@
 """A pipeline of small pure functions, for tests of the service: what it does is said in the scene file, as JSON.
 
-    {"shards": 6, "seconds": 0.0, "fail": "bake", "error": "named" | "odd", "crash_once": PATH, "skip": true}
+{"shards": 6, "seconds": 0.0, "fail": "bake", "error": "named" | "odd", "crash_once": PATH, "skip": true}
 """
 
 import json

@@ -22,7 +22,9 @@ class Queue:
         self.celery = Celery("farfield", broker=broker_url)
         self.celery.conf.update(
             task_serializer="json", task_ignore_result=True, broker_connection_timeout=2,
-            broker_transport_options={"socket_connect_timeout": 2, "socket_timeout": 5},
+            # One try: a client waits for this answer, and the reconciler does not.
+            broker_transport_options={"socket_connect_timeout": 2, "socket_timeout": 5, "max_retries": 1,
+                                      "interval_start": 0, "interval_step": 0, "interval_max": 0},
         )  # fmt: skip
         self.engine = engine
 

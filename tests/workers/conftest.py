@@ -1,20 +1,20 @@
 """A service without processes: a database, a store, the toy pipeline, and a worker that is a function call."""
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import toy_pipeline
-from farfield_workers.serve import migrate
-from farfield_workers.settings import WorkerSettings
-from farfield_workers.work import work
-
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
 from farfield.store import jobs, scenes, tenants
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
+from farfield_workers.serve import migrate
+from farfield_workers.settings import WorkerSettings
+from farfield_workers.work import work
 
 
 @dataclass
@@ -54,12 +54,21 @@ class Bench:
         return {s["name"]: s for s in jobs.stages_of(self.engine, job_id)}
 
 
+@pytest.fixture(scope="session")
+def empty_database(tmp_path_factory):
+    path = tmp_path_factory.mktemp("database") / "farfield.sqlite"
+    engine = open_engine(f"sqlite:///{path}")
+    migrate(engine, Path(__file__).parents[2] / "migrations")
+    engine.dispose()
+    return path
+
+
 @pytest.fixture
-def bench(tmp_path, monkeypatch):
+def bench(tmp_path, monkeypatch, empty_database):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # for the isolated process
     url = f"sqlite:///{tmp_path / 'farfield.sqlite'}"
+    shutil.copy(empty_database, tmp_path)
     engine = open_engine(url)
-    migrate(engine, Path(__file__).parents[2] / "migrations")
     settings = WorkerSettings(
         database_url=url, broker_url="", artifacts=tmp_path / "artifacts", worker="here",
         pipeline="toy_pipeline:PIPELINE", lease_s=60.0, renew_s=0.05, scene_memory_bytes=4 << 30, scene_seconds=60,

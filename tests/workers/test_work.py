@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import pytest
 import sqlalchemy as sa
-
 from farfield.errors import JobStillRunning
 from farfield.stages import Stage
 from farfield.store import events, jobs, progress, shards

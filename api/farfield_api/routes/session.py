@@ -32,7 +32,9 @@ class Opening(BaseModel):
 
 
 class Target(BaseModel):
-    to: str = Field("/jobs", pattern=r"^/[A-Za-z0-9._~/-]*$", max_length=500, description="the page to open")
+    to: str = Field(
+        "/jobs", pattern=r"^/([A-Za-z0-9._~-][A-Za-z0-9._~/-]*)?$", max_length=500, description="the page to open"
+    )
 
 
 @router.post("/session", summary="Start a session: sets the cookie")

@@ -1,0 +1,114 @@
+"""The API over a fresh database, in this process, with keys of two tenants; no broker answers."""
+
+import json
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from farfield.store import tenants
+from farfield.store.engine import open_engine
+from farfield_api.app import make_app
+from farfield_api.settings import ApiSettings
+from farfield_workers.serve import migrate
+from starlette.testclient import TestClient
+
+TESTS = Path(__file__).parents[1]
+
+
+@dataclass
+class Service:
+    client: TestClient
+    settings: ApiSettings
+    engine: object
+    tenant_id: str
+    key: str
+
+    def new_key(self, *scopes, tenant="toy"):
+        return tenants.create_key(self.engine, tenants.create_tenant(self.engine, tenant), "test", scopes)
+
+    def upload(self, name="toy.glb", **wish):
+        """Send a toy scene and return its digest."""
+        headers = {"content-disposition": f'attachment; filename="{name}"'}
+        answer = self.client.post("/v1/scenes", content=json.dumps(wish).encode(), headers=headers)
+        assert answer.status_code in (200, 201), answer.text
+        return answer.json()["digest"]
+
+    def create(self, **wish):
+        """Create a job for a toy scene and return its id."""
+        answer = self.client.post("/v1/jobs", json={"scene": self.upload(**wish)})
+        assert answer.status_code == 201, answer.text
+        return answer.json()["id"]
+
+
+def bearer(key):
+    return {"authorization": f"Bearer {key}"}
+
+
+@pytest.fixture(scope="session")
+def empty_database(tmp_path_factory):
+    path = tmp_path_factory.mktemp("database") / "farfield.sqlite"
+    engine = open_engine(f"sqlite:///{path}")
+    migrate(engine, TESTS.parent / "migrations")
+    engine.dispose()
+    return path
+
+
+@pytest.fixture
+def service(tmp_path, empty_database):
+    shutil.copy(empty_database, tmp_path)
+    engine = open_engine(f"sqlite:///{tmp_path / 'farfield.sqlite'}")
+    tenant_id = tenants.create_tenant(engine, "toy")
+    key = tenants.create_key(engine, tenant_id, "test", ("read", "submit", "admin"))
+    web = tmp_path / "dist"
+    (web / "assets").mkdir(parents=True)
+    for name in ("jobs", "job", "report", "viewer"):
+        (web / f"{name}.html").write_text(f"<title>{name}</title>")
+    (web / "assets" / "app-abc.js").write_text("1")
+    settings = ApiSettings(
+        database_url=str(engine.url), broker_url=f"redis+socket://{tmp_path}/none.sock",
+        artifacts=tmp_path / "artifacts", secret="ab" * 32, web=web,
+        max_scene_bytes=100_000, poll_s=0.02, inspect_seconds=20,
+        inspect_command=(sys.executable, str(TESTS / "toy_inspect.py")),
+        placements={"town": _placement(tmp_path / "town")},
+    )  # fmt: skip
+    with TestClient(make_app(settings), headers=bearer(key), base_url="http://127.0.0.1") as client:
+        yield Service(client, settings, engine, tenant_id, key)
+    engine.dispose()
+
+
+def _placement(folder):
+    (folder / "placement").mkdir(parents=True)
+    (folder / "placement" / "manifest.json").write_text('{"version": 1}')
+    (folder / "placement" / f"{'0123456789abcdef' * 4}.bin").write_bytes(bytes(range(200)))
+    (folder / "scene.glb").write_bytes(b"glTF")
+    (folder / "report.json").write_text('{"verdict": "valid"}')
+    (folder.parent / "secret.txt").write_text("not yours")
+    return folder
+
+
+@pytest.fixture
+def worker(service, monkeypatch):
+    """Call it to work on everything that is ready, until nothing is."""
+    from dataclasses import replace
+
+    import toy_pipeline
+    from farfield.store import progress
+    from farfield.store.artifacts import LocalArtifacts
+    from farfield_workers.settings import WorkerSettings
+    from farfield_workers.work import work
+
+    settings = WorkerSettings(
+        database_url="", broker_url="", artifacts=service.settings.artifacts, worker="here", pipeline="", lease_s=60.0,
+        renew_s=1.0, scene_memory_bytes=0, scene_seconds=60,
+    )  # fmt: skip
+    artifacts = LocalArtifacts(service.settings.artifacts)
+    pipeline = replace(toy_pipeline.PIPELINE, isolated=frozenset())
+
+    def run():
+        waiting = progress.undelivered(service.engine, resend_s=-1.0)
+        while waiting:
+            waiting += work(service.engine, artifacts, pipeline, settings, waiting.pop(0).shard_id)
+
+    return run
