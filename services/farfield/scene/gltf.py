@@ -94,7 +94,11 @@ class _Reader:
         if self._rows("animations"):
             self._warn("Animations are left out: the level is placed as its nodes stand.")
         mesh_ids: dict[int, int] = {}
-        for i, matrix in self._placed():
+        placed = self._placed()
+        outside = sum(isinstance(n, dict) and "mesh" in n for n in self.nodes) - len(placed)
+        if outside:
+            self._warn(f"{outside} nodes with meshes are not part of the default scene; they are left out.")
+        for i, matrix in placed:
             node = self.nodes[i]
             mesh = Json.integer(node["mesh"], f"nodes[{i}].mesh")
             if mesh not in mesh_ids:

@@ -58,6 +58,7 @@ def build_level(raw: RawScene, *, unit_m: float, up: str) -> Level:
     turn = np.diag([unit_m, unit_m, unit_m, 1.0])
     if up == "z":
         turn[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]) * unit_m
+    raw.meshes = [[p for p in mesh if len(p.index)] for mesh in raw.meshes]
     nodes = [n for n in raw.nodes if raw.meshes[n.mesh]]
     matrices = [compose(turn, n.matrix) for n in nodes]
     placed = [i for i, m in enumerate(matrices) if _spans_a_plane(m[:3, :3])]

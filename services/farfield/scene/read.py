@@ -19,7 +19,7 @@ from farfield.scene.files import Folder, SceneFiles, Zip
 from farfield.scene.gltf import read_gltf
 from farfield.scene.level import TRIANGLE_BYTES, VERTEX_BYTES, Level, build_level, measure, repack
 from farfield.scene.limits import Limits
-from farfield.scene.model import BLEND, Scene
+from farfield.scene.model import BLEND, MASK, Scene
 from farfield.scene.obj import read_obj
 from farfield.scene.order import object_order
 from farfield.scene.raw import RawScene
@@ -127,7 +127,7 @@ def _finish(level: Level, suggestion: Suggestion) -> Scene:
         object_replaceable=~mesh_blended[mesh], object_name=tuple(level.object_name[o] for o in order.tolist()),
         material_base_color=f32([r.base_color for r in rows], 4), material_emissive=f32([r.emissive for r in rows], 3),
         material_alpha_mode=np.array([r.alpha_mode for r in rows], dtype=np.uint8),
-        material_alpha_cutoff=np.array([r.alpha_cutoff for r in rows], dtype=np.float32),
+        material_alpha_cutoff=np.array([r.alpha_cutoff if r.alpha_mode == MASK else 0.5 for r in rows], np.float32),
         material_double_sided=np.array([r.double_sided for r in rows], dtype=np.bool_),
         material_texture=_renumbered(used, textures), material_name=tuple(r.name for r in rows),
         texture_byte=np.concatenate([[0], np.cumsum([len(i.data) for i in images], dtype=np.int64)]).astype(np.int64),

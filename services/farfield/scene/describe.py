@@ -1,0 +1,61 @@
+"""Scene -> one JSON document: what `farfield inspect --json` prints and the dashboard shows before a job starts."""
+
+from typing import Any
+
+import numpy as np
+
+from farfield.scene.derive import Suggestion
+from farfield.scene.model import BLEND, MASK, Scene
+
+_MODES = {BLEND: "blend", MASK: "mask"}
+
+
+def describe(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
+    """Return plain JSON values; every box is two corners in scene metres (y up), ids are those of the placement."""
+    boxes = scene.object_box + scene.origin_m
+    sizes = np.diff(scene.texture_byte)
+    return {
+        "objects": [
+            {"id": i, "name": name, "box": box, "triangles": triangles, "calls": calls, "replaceable": replaceable}
+            for i, (name, box, triangles, calls, replaceable) in enumerate(
+                zip(
+                    scene.object_name,
+                    boxes.tolist(),
+                    scene.object_triangles.tolist(),
+                    scene.object_calls.tolist(),
+                    scene.object_replaceable.tolist(),
+                )
+            )
+        ],
+        "triangles": int(scene.object_triangles.sum()),
+        "calls": int(scene.object_calls.sum()),
+        "meshes": len(scene.mesh_primitive) - 1,
+        "vertices": len(scene.position),
+        "bounds": [boxes[:, 0].min(0).tolist(), boxes[:, 1].max(0).tolist()],
+        "materials": [
+            {
+                "name": name,
+                "base_color": scene.material_base_color[k].astype(float).tolist(),
+                "alpha": _MODES.get(int(scene.material_alpha_mode[k]), "opaque"),
+                "texture": int(scene.material_texture[k]) if scene.material_texture[k] >= 0 else None,
+            }
+            for k, name in enumerate(scene.material_name)
+        ],
+        "textures": [{"bytes": n} for n in sizes.tolist()],
+        "dropped_triangles": scene.dropped_triangles,
+        "warnings": list(scene.warnings),
+        "suggested": {
+            "view_space": {
+                "boxes": [[list(low), list(high)] for low, high in suggestion.boxes],
+                "cell_m": suggestion.cell_m,
+                "interval_deg": suggestion.interval_deg,
+            },
+            "budgets": list(suggestion.budgets),
+            "why": {
+                "view_space.boxes": suggestion.boxes_why,
+                "view_space.cell_m": suggestion.cell_why,
+                "view_space.interval_deg": suggestion.interval_why,
+                "budgets": suggestion.budgets_why,
+            },
+        },
+    }
