@@ -9,8 +9,8 @@ import numpy as np
 class Placement:
     """I chosen impostors and what each of V problem views shows. Impostor ids ascend with (cluster, kind, view cell).
 
-    View v shows impostors serve[serve_row[v], serve_row[v+1]), ascending; their clusters are disjoint; everything else in
-    the view is drawn as geometry. The view cell of an impostor covers every cell in which it is shown.
+    View v shows impostors serve[serve_row[v], serve_row[v+1]), ascending; their clusters are disjoint; everything else
+    in the view is drawn as geometry. The view cell of an impostor covers every cell in which it is shown.
     """
 
     cluster: np.ndarray  # (I,) i32
