@@ -1,8 +1,8 @@
-"""Bake impostors: plan layers, clip, record, shade, crop; in batches that merge to the same bytes however they were cut.
+"""Bake impostors: plan layers, clip, record, shade, crop; in batches that merge to the same bytes however cut.
 
 Problem  Each impostor of a placement becomes textured layers that show its cluster from its whole view cell.
-Method   plan_layers -> gather -> cut -> lay_out -> record -> shade -> crop, one impostor at a time. Recording is exact in
-         integers (`coverage`), on OpenGL (`gl`) or numba: the same sheet, hence the same tiles, byte for byte.
+Method   plan_layers -> gather -> cut -> lay_out -> record -> shade -> crop, one impostor at a time. Recording is exact
+         in integers (`coverage`), on OpenGL (`gl`) or numba: the same sheet, hence the same tiles, byte for byte.
          Bytes and cost are then measured on what was stored, and never exceed the estimate that chose the impostor.
 Renderer "egl" needs a context; "numba" does not; "auto" takes the graphics card if EGL offers one and numba otherwise,
          also in place of a software OpenGL (docs/decisions). What was used is recorded.
@@ -43,7 +43,7 @@ SOFTWARE = ("llvmpipe", "softpipe", "swrast", "SwiftShader")
 
 
 def plan_batches(placement: Placement) -> list[tuple[int, int]]:
-    """Return impostor id ranges [a, b) that cover all impostors: at most MOST_IMPOSTORS and MOST_BYTES (estimated) each."""
+    """Return impostor id ranges [a, b) that cover all: at most MOST_IMPOSTORS and MOST_BYTES (estimated) each."""
     batches, start, held = [], 0, 0
     for i, size in enumerate(placement.bytes.tolist()):
         if i > start and (i - start == MOST_IMPOSTORS or held + size > MOST_BYTES):
@@ -79,7 +79,9 @@ def find_recorder(renderer: Renderer) -> tuple[Record, str]:
 class _Rows:
     """Columns of BakedLayers as they grow."""
 
-    impostor: list[tuple] = field(default_factory=list)  # eye, right, up, slope0, texel, resolution, bytes, cost, layers
+    impostor: list[tuple] = field(
+        default_factory=list
+    )  # eye, right, up, slope0, texel, resolution, bytes, cost, layers
     layer: list[tuple] = field(default_factory=list)  # plane, near, far, corners, tile, at
     tiles: dict[bytes, int] = field(default_factory=dict)
     size: list[tuple[int, int]] = field(default_factory=list)
@@ -125,8 +127,8 @@ def bake_batch(
     """Return the baked impostors [a, b) of `placement`, in id order.
 
     The layers follow `farfield.impostor.plan.plan_layers` on the placement's view cells. Raises NoContext for renderer
-    "egl" without EGL, SceneUnreadable for a texture that does not decode, ImpostorError for a view cell that no impostor
-    serves.
+    "egl" without EGL, SceneUnreadable for a texture that does not decode, ImpostorError for a view cell that no
+    impostor serves.
     """
     record, name = find_recorder(renderer)
     rows, skipped = _Rows(), []
@@ -136,7 +138,9 @@ def bake_batch(
     for i, (a, b) in zip(ids, spans, strict=True):
         cluster, kind, cell = int(placement.cluster[i]), int(placement.kind[i]), placement.view_cell[i]
         plan = plan_layers(kind, cell, hierarchy.box[cluster], settings=settings)
-        skipped += [f"{scene.object_name[o]}: blended, left out" for o in range(a, b) if not scene.object_replaceable[o]]
+        skipped += [
+            f"{scene.object_name[o]}: blended, left out" for o in range(a, b) if not scene.object_replaceable[o]
+        ]
         surface = _surface(scene, (a, b), pyramids)
         sources = gather(scene, (a, b), plan, kind=kind, view_cell=cell)
         pieces = cut(sources, plan)
@@ -168,7 +172,7 @@ def bake_batch(
 
 
 def layer_pixels(model: CostModel, plan: LayerPlan, layer: int, size: tuple[int, int]) -> float:
-    """Return the most pixels that a layer's cropped rectangle of `size` texels covers, from anywhere in the view cell."""
+    """Return the most pixels that a layer's rectangle of `size` texels covers, from anywhere in the view cell."""
     plane = float(plan.plane[layer])
     return pixels_bound_rect(
         model, width=size[0] * float(plan.texel[0]) * plane, height=size[1] * float(plan.texel[1]) * plane,
@@ -181,14 +185,18 @@ def merge(parts: Sequence[BakedLayers]) -> BakedLayers:
 
     The same for every way of cutting the impostors into batches. Renderers that differ are all named, in order.
     """
-    rows, names, skipped = _Rows(), [], []
+    rows = _Rows()
+    names: list[str] = []
+    skipped: list[str] = []
     for p in parts:
         tiles = [
             rows.add_tile((int(w), int(h)), p.tile_data[p.tile_byte[t] : p.tile_byte[t + 1]])
             for t, (w, h) in enumerate(p.tile_size)
         ]
         layers = np.diff(p.layer_row).tolist()
-        rows.impostor += zip(p.eye, p.right, p.up, p.slope0, p.texel, p.resolution, p.bytes, p.cost, layers, strict=True)
+        rows.impostor += zip(
+            p.eye, p.right, p.up, p.slope0, p.texel, p.resolution, p.bytes, p.cost, layers, strict=True
+        )
         corners = np.split(p.corner, p.corner_row[1:-1]) if len(p.plane) else []
         own = [tiles[t] for t in p.tile]
         rows.layer += zip(p.plane, p.near, p.far, corners, own, p.tile_at.tolist(), strict=True)

@@ -1,12 +1,13 @@
 """Bring a cluster into the frame of its impostor: triangles clipped to the slabs and snapped once to 1/256 texel.
 
 Problem  Layers must share the texels of their borders, triangles those of their edges, whoever rasterises them.
-Method   Corners go to the frame in float64. Each triangle is cut at the slab borders it crosses (never at a frustum side:
-         the grid covers the cluster's box, only rounding is outside, and that is clamped) and rounded to integers; all
-         that follows is exact on these. The first slab begins at the eye and the last never ends: nothing is cut away.
-Back     A triangle of a single-sided material is left out iff no point of the view cell sees its front. Culling by the
-faces    eye alone, as a viewer at the eye would, opens holes for the rest of the cell. Errs towards keeping: a few faces
-         are kept that turn away from the eye; shafts are taken as the octagonal pyramids around them.
+Method   Corners go to the frame in float64. Each triangle is cut at the slab borders it crosses (never at a frustum
+         side: the grid covers the cluster's box, only rounding is outside, and that is clamped) and rounded to
+         integers; all that follows is exact on these. The first slab begins at the eye and the last never ends:
+         nothing is cut away.
+Backs    A triangle of a single-sided material is left out iff no point of the view cell sees its front. Culling by the
+         eye alone, as a viewer at the eye would, opens holes for the rest of the cell. Errs towards keeping: a few
+         faces stay that turn away from the eye; shafts are taken as the octagonal pyramids around them.
 """
 
 import math
@@ -50,7 +51,9 @@ def gather(scene: Scene, objects: tuple[int, int], plan: LayerPlan, *, kind: int
     or does not cover the cluster.
     """
     if max(plan.resolution) > MAX_SIDE:
-        raise OutOfDomain(f"an impostor of {plan.resolution[0]} x {plan.resolution[1]} texels is larger than {MAX_SIDE}")
+        raise OutOfDomain(
+            f"an impostor of {plan.resolution[0]} x {plan.resolution[1]} texels is larger than {MAX_SIDE}"
+        )
     start, stop = objects
     n = int(scene.object_triangles[start:stop].sum())
     axes = np.stack([plan.right, plan.up, -plan.back]).astype(np.float64)
@@ -63,8 +66,8 @@ def gather(scene: Scene, objects: tuple[int, int], plan: LayerPlan, *, kind: int
     found = kernels.gather(
         scene.position, scene.index, scene.primitive_triangle, scene.primitive_vertex, scene.primitive_material,
         scene.mesh_primitive, scene.object_mesh, scene.object_matrix, start, stop, scene.material_alpha_mode == BLEND,
-        ~scene.material_double_sided.astype(np.bool_), np.ascontiguousarray(plan.eye, np.float64), axes, hull, cone, corner,
-        vertex, material, owner, away, scratch,
+        ~scene.material_double_sided.astype(np.bool_), np.ascontiguousarray(plan.eye, np.float64), axes, hull, cone,
+        corner, vertex, material, owner, away, scratch,
     )  # fmt: skip
     corner, vertex = corner[:found], vertex[:found]
     snapped, inverse = np.empty((found, 6), np.int32), np.empty((found, 3))

@@ -6,16 +6,16 @@ Method   Pieces have whole 1/256 texel coordinates and count as closed, and so d
          iff none of the axes x, y and the three edge normals separates them. Along the normal of the edge from
          (x, y) with the step (dx, dy), with L = dx j - dy i for texel (i, j), that is lo <= L <= hi with integer lo, hi
          (`edge_bounds`): each row of texels is one span. Segments and points are triangles whose hi binds, too.
-         Of the pieces in a texel the nearest that covers its centre shows, as in a picture taken from the eye; where none
-         does, the nearest that faces the eye, else the nearest. Depth is that of the point of the *source* triangle next
-         to the texel's centre (not of the piece: both slabs at a border then see the same point), relative to the slab,
-         clamped to it, in 2**20 steps; ties go to the lower piece. It is computed in float32 in one fixed order of products
-         and sums, which the shader repeats, so that even the depth test agrees.
-Tried    The nearest piece always: back walls, which end at the same edges as the front ones, draw dark outlines.
+         Of the pieces in a texel the nearest that covers its centre shows, as in a picture taken from the eye; where
+         none does, the nearest that faces the eye, else the nearest. Depth is that of the point of the *source*
+         triangle next to the texel's centre (not of the piece: both slabs at a border then see the same point),
+         relative to the slab, clamped to it, in 2**20 steps; ties go to the lower piece. It is computed in float32 in
+         one fixed order of products and sums, which the shader repeats, so that even the depth test agrees.
          A masked material records a texel iff its alpha at that point reaches the cutoff; this is always done here.
          Closed pieces and texels make the texels of a connected surface 4-connected: where a path steps diagonally it
-         passes the common corner, and that touches all four. So the diagonal steps that Jeschke and Wimmer close by hand
-         (2002, section 2.2) do not arise.
+         passes the common corner, and that touches all four. So the diagonal steps that Jeschke and Wimmer close by
+         hand (2002, section 2.2) do not arise.
+Tried    The nearest piece always: back walls, which end at the same edges as the front ones, draw dark outlines.
 """
 
 from typing import Any
@@ -81,8 +81,9 @@ def depth_plane(q: Any, v0: np.float32, v1: np.float32, v2: np.float32) -> tuple
 @njit(cache=True)
 def depth_key(i: int, j: int, q: Any, r: Any, v0: np.float32, v1: np.float32, v2: np.float32,
               gx: np.float32, gy: np.float32, away: bool) -> np.uint32:  # fmt: skip
-    """Return what decides which piece shows in texel (i, j), the least: depth of source triangle q in steps of 2**-20 of
-    the slab, + 2**21 where its centre is not covered, + 2**22 where also the eye sees its back; r as Sources.reciprocal.
+    """Return what decides which piece shows in texel (i, j), the least: depth of source triangle q in steps of 2**-20
+    of the slab, + 2**21 where its centre is not covered, + 2**22 where also the eye sees its back; r as
+    Sources.reciprocal.
     """
     cx, cy = 256 * i + 128, 256 * j + 128
     inside, twice = True, 0
@@ -133,7 +134,7 @@ def piece_edges(p: Any, out: Any) -> int:
     out[0, 0], out[0, 1], out[0, 2], out[0, 3] = x0, y0, x1 - x0, y1 - y0
     out[1, 0], out[1, 1], out[1, 2], out[1, 3] = x1, y1, x2 - x1, y2 - y1
     out[2, 0], out[2, 1], out[2, 2], out[2, 3] = x2, y2, x0 - x2, y0 - y2
-    return twice
+    return int(twice)
 
 
 @njit(cache=True)
@@ -196,7 +197,12 @@ def _find_keys(sources: Any, pieces: Any, slabs: Any, first_layer: int, last_lay
 
 
 def record(
-    sources: Sources, pieces: Pieces, slabs: Slabs, surface: Surface, layers: tuple[int, int], sheet_size: tuple[int, int]
+    sources: Sources,
+    pieces: Pieces,
+    slabs: Slabs,
+    surface: Surface,
+    layers: tuple[int, int],
+    sheet_size: tuple[int, int],
 ) -> np.ndarray:
     """Return the sheet (height, width) u32 of layers [a, b): 0 where empty, else 1 + the piece that shows.
 

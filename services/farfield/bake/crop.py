@@ -68,8 +68,8 @@ def crop(rgba: np.ndarray) -> tuple[np.ndarray, tuple[int, int], np.ndarray] | N
 
 
 def polygon(extent: np.ndarray) -> np.ndarray:
-    """Return the corners of the octagon x0 <= x <= x1, y0 <= y <= y1, s0 <= x + y <= s1, d0 <= x - y <= d1, given in this
-    order, without the cuts that save little."""
+    """Return the corners of the octagon x0 <= x <= x1, y0 <= y <= y1, s0 <= x + y <= s1, d0 <= x - y <= d1, given in
+    this order, without the cuts that save little."""
     x0, x1, y0, y1, s0, s1, d0, d1 = (int(v) for v in extent)
     area = (x1 - x0) * (y1 - y0)
 

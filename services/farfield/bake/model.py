@@ -9,9 +9,9 @@ import numpy as np
 class BakedLayers:
     """I impostors in L layers, cropped to what they contain; equal tiles are stored once.
 
-    Frame of an impostor: `eye` is its reference viewpoint; `right`, `up` (unit) span the layer planes; `back` = right x up
-    points from the object to the viewer. A point at distance z in front of the eye is eye + z (a right + b up - back),
-    (a, b) its slopes. Layer k lies at distance `plane` from the eye (t + s of error-metric.md), its slab is
+    Frame of an impostor: `eye` is its reference viewpoint; `right`, `up` (unit) span the layer planes; `back` = right x
+    up points from the object to the viewer. A point at distance z in front of the eye is eye + z (a right + b up -
+    back), (a, b) its slopes. Layer k lies at distance `plane` from the eye (t + s of error-metric.md), its slab is
     [near, far] from the eye. Texel (i, j) of the impostor's grid covers slopes slope0 + [i, i+1) x [j, j+1) * texel.
     A tile holds rows from j low to high (b upwards) of texels x0.. by y0..: RGBA8, straight alpha; RGB is sRGB;
     alpha is 0 where empty, else 1..255 from far to near, linear in 1 / distance:

@@ -18,7 +18,7 @@ class Sources(NamedTuple):
     corner: np.ndarray  # (S,3,3) f64  frame coordinates
     snapped: np.ndarray  # (S,6)  i32  x0 y0 x1 y1 x2 y2
     inverse: np.ndarray  # (S,3)  f64  1 / z
-    reciprocal: np.ndarray  # (S,3) f32  1 / squared snapped length of the edge that starts at each corner; 0 for a point
+    reciprocal: np.ndarray  # (S,3) f32  1 / squared snapped length of the edge from each corner; 0 for a point
     vertex: np.ndarray  # (S,3)  i32  into the scene's vertex arrays
     material: np.ndarray  # (S,)   i32
     object: np.ndarray  # (S,)   i32  from the cluster's first object

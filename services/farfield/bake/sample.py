@@ -3,8 +3,8 @@
 Problem  A texel may be recorded although its centre is off the triangle, and a triangle may be seen edge-on or have no
          area at all. Its colour, alpha and depth must still be those of a point of the triangle next to the texel.
 Method   The point of the snapped triangle closest to the texel's centre (in the image), as weights of the corners:
-         inside from the edge functions, outside along the nearest edge. Never an extrapolation. Weights divided by z and
-         normalised are those of the surface (perspective). The point does not depend on the slab.
+         inside from the edge functions, outside along the nearest edge. Never an extrapolation. Weights divided by z
+         and normalised are those of the surface (perspective). The point does not depend on the slab.
          Textures: trilinear from the level whose texels are as large as the footprint in the longer direction, as a GPU
          without anisotropic filtering does; the footprint is never taken for larger than the triangle.
 """
@@ -20,7 +20,7 @@ CLAMP, MIRROR = 33071, 33648  # glTF wrap modes; any other is taken as repeat
 
 @njit(cache=True)
 def image_weights(q: Any, cx: float, cy: float, out: Any) -> None:
-    """Fill out (3,) f64 with the weights, in the image, of the point of triangle q closest to (cx, cy), 1/256 texels."""
+    """Fill out (3,) f64 with the image weights of the point of triangle q closest to (cx, cy), 1/256 texels."""
     inside, twice = True, 0.0
     for e in range(3):
         f = (e + 1) % 3

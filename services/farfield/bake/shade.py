@@ -64,7 +64,9 @@ def _shade(sources: Any, pieces: Any, slabs: Any, surface: Any, first_layer: int
                 sums[:] = 0.0
                 if surface.texture[m] >= 0:
                     for sub in range(4):  # 2 x 2 samples of half a texel each
-                        color_at(sources, surface, s, cx + (128 * (sub % 2) - 64), cy + (128 * (sub // 2) - 64), 0.5, out, uv)
+                        color_at(
+                            sources, surface, s, cx + (128 * (sub % 2) - 64), cy + (128 * (sub // 2) - 64), 0.5, out, uv
+                        )
                         for c in range(3):
                             sums[c] += out[c] / 4
                 one_over_z = color_at(sources, surface, s, cx, cy, 1.0, out, uv)
@@ -86,15 +88,15 @@ def _shade(sources: Any, pieces: Any, slabs: Any, surface: Any, first_layer: int
                     value = sums[c] * falls + surface.emissive[m, c]
                     rgba[y, x, c] = np.searchsorted(surface.encode, value, side="right")
                 u = (one_over_z - far) / (near - far) if near > far else 1.0
-                rgba[y, x, 3] = 1 + int(math.floor(254 * min(max(u, 0.0), 1.0) + 0.5))
+                rgba[y, x, 3] = 1 + math.floor(254 * min(max(u, 0.0), 1.0) + 0.5)
 
 
 def shade(sources: Sources, pieces: Pieces, slabs: Slabs, surface: Surface, layers: tuple[int, int],
           sheet: np.ndarray) -> np.ndarray:  # fmt: skip
     """Return (height, width, 4) u1: colour and depth of what `sheet` records for layers [a, b); 0 where empty.
 
-    Depth is rounded to the nearest of its 255 steps: the error is at most half a step either way, and the two slabs of a
-    border agree on it (255 of the far one and 1 of the near one mean the same distance).
+    Depth is rounded to the nearest of its 255 steps: the error is at most half a step either way, and the two slabs of
+    a border agree on it (255 of the far one and 1 of the near one mean the same distance).
     """
     rgba = np.zeros((*sheet.shape, 4), np.uint8)
     _shade(sources, pieces, slabs, surface, *layers, sheet, rgba)

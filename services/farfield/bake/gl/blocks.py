@@ -1,11 +1,12 @@
 """Cut pieces into blocks of at most 256 x 256 texels with everything the shader needs in 32-bit integers.
 
 Relative to its block's corner every product of the test stays below 2**31 (grids up to records.MAX_SIDE texels); bounds
-that lie beyond all values in the block are clamped, which changes no answer. Blocks that a piece does not meet are left out.
+that lie beyond all values in the block are clamped, which changes no answer. Blocks that a piece does not meet are left
+out.
 
-whole  (B,27) i32: 0-1 x, y in the sheet; 2-3 width, height; 4 piece + 1; 5-16 for each edge of the piece dx, dy, lo, hi;
-       17-19 for each edge of the source triangle the least dx j - dy i that is inside; 20-25 its corners; 26 whether
-       the eye sees its back
+whole  (B,27) i32: 0-1 x, y in the sheet; 2-3 width, height; 4 piece + 1; 5-16 for each edge of the piece dx, dy, lo,
+       hi; 17-19 for each edge of the source triangle the least dx j - dy i that is inside; 20-25 its corners; 26
+       whether the eye sees its back
 real   (B,8) f32: 0-2 depths of its corners; 3-5 reciprocal squared edge lengths; 6-7 slopes of the depth
 """
 
@@ -86,7 +87,11 @@ def _fill(sources: Any, pieces: Any, slabs: Any, masked: Any, first_layer: int, 
                     if area <= 0:
                         whole[n, 17] = _MOST
                     real[n, 0], real[n, 1], real[n, 2] = v0, v1, v2
-                    real[n, 3], real[n, 4], real[n, 5] = sources.reciprocal[s, 0], sources.reciprocal[s, 1], sources.reciprocal[s, 2]
+                    real[n, 3], real[n, 4], real[n, 5] = (
+                        sources.reciprocal[s, 0],
+                        sources.reciprocal[s, 1],
+                        sources.reciprocal[s, 2],
+                    )
                     real[n, 6], real[n, 7] = gx, gy
                     n += 1
     return n, pieces.row[last_layer]
@@ -97,6 +102,7 @@ def fill(
     whole: np.ndarray, real: np.ndarray,
 ) -> tuple[int, int]:  # fmt: skip
     """Fill `whole` and `real` (see the module's head) with blocks of the opaque pieces of layers [a, b) from piece
-    `start` on; return how many blocks were written and the piece to go on with (the end of the last layer when done)."""
+    `start` on; return how many blocks were written and the piece to go on with (the end of the last layer when
+    done)."""
     n, following = _fill(sources, pieces, slabs, surface.masked, *layers, start, whole, real)
     return int(n), int(following)

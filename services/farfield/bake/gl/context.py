@@ -1,7 +1,7 @@
 """The one OpenGL context of this process, made when first asked for.
 
-A child forked from a process that holds a context hangs in its first GL call, so workers are spawned; whoever asks for a
-context that another process made is refused.
+A child forked from a process that holds a context hangs in its first GL call, so workers are spawned; whoever asks for
+a context that another process made is refused.
 """
 
 import os
@@ -28,7 +28,8 @@ def context() -> Any:
         try:
             import moderngl
 
-            _made[os.getpid()] = moderngl.create_context(standalone=True, backend="egl", require=GL_VERSION)
+            create: Any = moderngl.create_context
+            _made[os.getpid()] = create(standalone=True, backend="egl", require=GL_VERSION)
         except Exception as error:  # the loaders raise bare Exception, ImportError, OSError, ValueError
             raise NoContext(f"no OpenGL {GL_VERSION // 100}.{GL_VERSION % 100 // 10} through EGL: {error}") from error
     return _made[os.getpid()]

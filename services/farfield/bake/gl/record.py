@@ -1,11 +1,12 @@
 """Record layers with OpenGL: the sheet of `farfield.bake.coverage.record`, piece for piece the same.
 
 Problem  Conservative rasterisation is an extension that many drivers lack, and each has its own idea of it.
-Method   Each piece is drawn as the rectangle of texels around it (exactly: corners on texel corners), cut into blocks. The
-         fragment shader decides with the integer separating-axis test of coverage.py, repeats its float32 depth with
-         `precise` (no fused products) and writes the piece's number; the depth test keeps the nearest, the first on a tie.
-         All layers of a pass lie side by side in one sheet: one draw call a quarter of a million blocks, one read.
-         Masked materials are added on the processor, by the same code as in the numba path: no texture goes to GL.
+Method   Each piece is drawn as the rectangle of texels around it (exactly: corners on texel corners), cut into blocks.
+         The fragment shader decides with the integer separating-axis test of coverage.py, repeats its float32 depth
+         with `precise` (no fused products) and writes the piece's number; the depth test keeps the nearest, the first
+         on a tie. All layers of a pass lie side by side in one sheet: one draw call a quarter of a million blocks, one
+         read. Masked materials are added on the processor, by the same code as in the numba path: no texture goes to
+         GL.
 """
 
 from importlib import resources
@@ -45,7 +46,7 @@ class Recorder:
         self, sources: Sources, pieces: Pieces, slabs: Slabs, surface: Surface, layers: tuple[int, int],
         sheet_size: tuple[int, int],
     ) -> np.ndarray:  # fmt: skip
-        """As `farfield.bake.coverage.record`. Raises nothing of its own; sheets beyond `most_side` fail in the driver."""
+        """As `farfield.bake.coverage.record`. Sheets beyond `most_side` fail in the driver."""
         import moderngl
 
         ctx, (width, height) = self._ctx, sheet_size
@@ -60,8 +61,6 @@ class Recorder:
         while start < end:
             n, start = fill(sources, pieces, slabs, surface, layers, start, self._whole, self._real)
             if n:
-                self._whole_buffer.orphan()
-                self._real_buffer.orphan()
                 self._whole_buffer.write(self._whole[:n])
                 self._real_buffer.write(self._real[:n])
                 self._whole_buffer.bind_to_storage_buffer(0)
