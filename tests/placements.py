@@ -1,5 +1,6 @@
 """Made-up placements for tests of the placement database: each stage's output by hand, seeded, self-consistent."""
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -181,3 +182,31 @@ def _disjoint(rng: np.random.Generator, hierarchy: Hierarchy, clusters: np.ndarr
         ):
             chosen.append(int(i))
     return np.array(sorted(chosen), dtype=np.int32)
+
+
+def glb(scene: Scene) -> bytes:
+    """Return the level as a GLB: a node per object under one that holds origin_m, ids in extras."""
+    root = {"children": list(range(1, scene.n_objects + 1)), "translation": scene.origin_m.tolist()}
+    nodes: list[dict[str, Any]] = [root]
+    for i, matrix in enumerate(scene.object_matrix):
+        columns = np.vstack([matrix, [0, 0, 0, 1]]).T.ravel().tolist()
+        nodes.append({"mesh": int(scene.object_mesh[i]), "matrix": columns, "extras": {"id": i}})
+    positions, indices = scene.position.astype("<f4").tobytes(), scene.index.astype("<u4").tobytes()
+    meshes, accessors = [], []
+    for p in range(len(scene.primitive_material)):
+        first, stop = scene.primitive_triangle[p : p + 2]
+        accessors.append({"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": len(scene.position)})
+        accessors.append({"bufferView": 1, "byteOffset": int(first) * 12, "componentType": 5125, "type": "SCALAR",
+                          "count": int(stop - first) * 3})  # fmt: skip
+        meshes.append({"primitives": [{"attributes": {"POSITION": 2 * p}, "indices": 2 * p + 1}]})
+    document = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes, "meshes": meshes,
+        "accessors": accessors, "buffers": [{"byteLength": len(positions) + len(indices)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(positions)},
+                        {"buffer": 0, "byteOffset": len(positions), "byteLength": len(indices)}],
+    }  # fmt: skip
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary = positions + indices
+    body = len(text).to_bytes(4, "little") + b"JSON" + text + len(binary).to_bytes(4, "little") + b"BIN\0" + binary
+    return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body

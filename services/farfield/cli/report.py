@@ -1,0 +1,131 @@
+"""`farfield report DIR`: the report of a finished placement, for people."""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from farfield.errors import ColumnsAltered, ColumnsTooNew, PlacementFileMissing
+
+_VERDICT = {
+    "valid": ("green", "every view of the view space meets the budget"),
+    "infeasible": ("yellow", "some views cannot meet the budget; all others do"),
+    "unproven": ("red", "it is not proved that every view meets the budget"),
+}
+BAR = 24  # characters
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("report", help="show the report of a finished placement")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="what `farfield place --out DIR` wrote")
+    parser.add_argument("--json", action="store_true", help="print report.json and nothing else")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the report; exit 0."""
+    report = read_report(args.folder / "report.json")
+    if args.json:
+        json.dump(report, sys.stdout)
+        print()
+    else:
+        show_report(report)
+    return 0
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """Return the report in a file. Raises PlacementFileMissing, ColumnsTooNew, ColumnsAltered."""
+    try:
+        report = json.loads(path.read_bytes())
+    except OSError as error:
+        raise PlacementFileMissing(str(path)) from error
+    except (ValueError, RecursionError) as error:
+        raise ColumnsAltered(path.name, "it is not JSON") from error
+    if not isinstance(report, dict) or report.get("format") != "farfield report":
+        raise ColumnsAltered(path.name, "it is no report of farfield")
+    if report.get("version") != 1:
+        raise ColumnsTooNew(path.name, int(report.get("version") or 0), 1)
+    return report
+
+
+def show_report(report: Mapping[str, Any], console: Console | None = None) -> None:
+    """Print the report: verdict, figures, stages, hopeless views."""
+    out = console or Console()
+    colour, meaning = _VERDICT[report["verdict"]]
+    out.print(f"[bold {colour}]{report['verdict']}[/]  {meaning} ({report['budget']})", highlight=False)
+    out.print(_figures(report))
+    out.print(_stages(report["stages"]))
+    if report["hopeless"]:
+        out.print(_hopeless(report))
+    for warning in [*report["warnings"], *report["not_baked"]]:
+        out.print(f"note: {warning}", markup=False, highlight=False)
+
+
+def cost_text(report: Mapping[str, Any], cost: int) -> str:
+    """Return a cost in the budget's unit, for people."""
+    return f"{cost / 1e6:,.2f} ms" if report["unit"] == "ns" else f"{cost:,} {report['unit']}"
+
+
+def _figures(report: Mapping[str, Any]) -> Table:
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rows = [
+        ("scene", f"{report['objects']:,} objects, {report['triangles']:,} triangles"),
+        ("view space", f"{report['cells']:,} cells, {report['problem_views']:,} problem views, "
+                       f"{report['hopeless_views']:,} hopeless"),
+        ("impostors", f"{report['impostors']:,} of {report['candidates']:,} candidates, {report['layers']:,} layers"),
+        ("memory", f"{_size(report['bytes'])} of texels, {_size(report['file_bytes'])} in files, "
+                   f"{_size(report['video_bytes'])} of video memory"),
+        ("fullest view", f"{cost_text(report, report['worst_geometry_cost'])} as geometry, "
+                         f"{cost_text(report, report['worst_cost_bound'])} as placed"),
+    ]  # fmt: skip
+    if report["hopeless_views"]:
+        rows.append(("would be valid", f"with a budget of {report['smallest_budget']['text']}"))
+    found = report["verified"]
+    if found:
+        worst = f"worst {found['worst_ratio']:.3f} of it"
+        rows.append(("verified", f"{found['views']:,} random views, {found['over_budget']} over budget, {worst}"))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _stages(stages: list[dict[str, Any]]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("stage")
+    for name in ("seconds", "memory"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    longest = max((s["seconds"] for s in stages), default=0) or 1
+    for s in stages:
+        note = f"[dim]skipped: {escape(s['skipped'])}[/]" if s["skipped"] else "█" * round(BAR * s["seconds"] / longest)
+        table.add_row(s["name"], f"{s['seconds']:.1f}", _size(s["peak_bytes"]), note)
+    return table
+
+
+def _hopeless(report: Mapping[str, Any]) -> Table:
+    table = Table(title="hopeless views, worst first", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for name in ("view from", "along", "best", "to blame"):
+        table.add_column(name)
+    for view in report["hopeless"][:10]:
+        blamed = ", ".join(str(o["name"]) or f"object {o['id']}" for o in view["culprits"][:3])
+        at, along = (
+            " ".join(f"{x:.{digits}f}" for x in view[key]) for key, digits in (("position", 1), ("direction", 2))
+        )
+        table.add_row(at, along, cost_text(report, view["best"]), blamed)
+    return table
+
+
+def _size(n: int) -> str:
+    size, unit = float(n), "B"
+    for bigger in ("kB", "MB", "GB", "TB"):
+        if size < 1000:
+            break
+        size, unit = size / 1000, bigger
+    return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"

@@ -1,0 +1,63 @@
+"""`farfield verify DIR`: try to refute a placement with random views, from its files alone."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from farfield.errors import SettingsInvalid
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("verify", help="cost random views of a finished placement against its budget")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="what `farfield place --out DIR` wrote")
+    parser.add_argument("--views", type=int, default=10_000, metavar="N", help="views to try (default 10000)")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="which views (default 0)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify; exit 4 when a view refutes the placement."""
+    from farfield.evaluation.verify import refuted, verify
+
+    if args.views < 1:
+        raise SettingsInvalid("--views", "must be at least 1")
+    if args.seed < 0:
+        raise SettingsInvalid("--seed", "must be at least 0")
+    found = verify(args.folder, views=args.views, seed=args.seed)
+    if args.json:
+        json.dump(found, sys.stdout)
+        print()
+    else:
+        _show(found)
+    return 4 if refuted(found) else 0
+
+
+def _show(found: dict) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_row("files", f"{found['files']} verified")
+    table.add_row("views", f"{found['views']}, {found['in_problem_views']} of them in problem views")
+    table.add_row("over_budget", str(found["over_budget"]))
+    table.add_row("worst_ratio", f"{found['worst_ratio']:.4f} of {found['budget']} {found['unit']}")
+    worst = found["worst_view"]
+    if worst:
+        at, along = (", ".join(f"{x:.3f}" for x in worst[key]) for key in ("position", "direction"))
+        table.add_row("worst_view", f"at ({at}) along ({along})")
+        table.add_row("", f"cost {worst['cost']}, bound {worst['cost_bound']}, cell {worst['cell']}, "
+                          f"{worst['objects']} objects, {worst['impostors']} impostors")  # fmt: skip
+    if found["in_hopeless_views"]:
+        ratio = found["worst_hopeless_ratio"]
+        table.add_row("hopeless", f"{found['in_hopeless_views']} views fell into hopeless ones, worst {ratio:.4f}")
+    defects = {
+        "over_bound": "views cost more than their stated bound",
+        "outside_view_cell": "impostors were shown outside their view cell",
+    }
+    for key, text in defects.items():
+        if found[key]:
+            table.add_row(key, f"{found[key]} {text}: a defect, please report it")
+    Console().print(table)

@@ -1,0 +1,196 @@
+"""Verify a finished placement against random concrete views: what would the viewer draw there, and what does it cost?
+
+Problem  The placement says that no view costs more than the budget outside hopeless problem views. Try to refute it
+         with nothing but the files that a viewer reads.
+Method   Draw views: positions uniform over the boxes of the view space, directions uniform over the sphere; one in
+         eight stands on a face, edge or corner of a cell and looks along edges of the intervals, one in sixteen looks
+         close to straight up or down. At each: look up, cull object boxes by clipping them against the view
+         pyramid (`kernels`), measure what is left on the screen, and add up by the manifest's cost model.
+Errs     Never downwards: a box that only touches the pyramid is drawn; costs are rounded up once, at the end.
+"""
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from farfield.errors import ColumnsAltered
+from farfield.evaluation import kernels
+from farfield.evaluation.level import read_boxes
+from farfield.placementdb.read import Lookup, Placement
+
+BOX_TOLERANCE = 1e-9  # of the largest coordinate: what float64 loses between two orders of the same transform
+
+
+def verify(folder: Path, *, views: int = 1000, seed: int = 0) -> dict[str, Any]:
+    """Return what `views` random views of the placement in `folder` (DIR of `farfield place`) cost, as JSON values.
+
+    over_budget       views over the budget outside hopeless problem views; 0 in a placement that is `valid`
+    over_bound        views that cost more than the bound stated for them (hopeless ones included); 0, or a defect
+    outside_view_cell impostors shown to a camera outside their view cell; 0, or a defect
+    worst_ratio       largest cost / budget outside hopeless views; worst_view is where
+    Raises PlacementFileError where a file is missing or damaged, or scene.glb is not the level that was placed.
+    """
+    placement = Placement.open(folder / "placement")
+    files = placement.check()
+    check_level(placement, folder / "scene.glb")
+    manifest = placement.manifest
+    budget = max(int(manifest["budget"]["amount"]), 1)
+    camera = Eye(placement)
+    found: dict[str, Any] = {
+        "views": 0, "over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "in_problem_views": 0,
+        "in_hopeless_views": 0, "worst_ratio": 0.0, "worst_view": None, "worst_hopeless_ratio": None, "files": files,
+        "budget": int(manifest["budget"]["amount"]), "unit": manifest["budget"]["unit"], "seed": seed,
+        "verdict": manifest["verdict"],
+    }  # fmt: skip
+    for position, direction in draw_views(placement, views, seed):
+        v = placement.lookup(position, direction)
+        cost, n_objects = camera.cost(v, position, direction)
+        ratio = cost / budget
+        found["views"] += 1
+        found["in_problem_views"] += v.problem_view is not None
+        found["in_hopeless_views"] += v.hopeless
+        found["over_bound"] += cost > v.cost_bound
+        found["outside_view_cell"] += sum(not camera.held(i, position) for i in v.impostors)
+        if v.hopeless:
+            found["worst_hopeless_ratio"] = max(found["worst_hopeless_ratio"] or 0.0, ratio)
+            continue
+        found["over_budget"] += cost > found["budget"]
+        if ratio > found["worst_ratio"] or found["worst_view"] is None:
+            found["worst_ratio"] = ratio
+            found["worst_view"] = {
+                "position": position.tolist(), "direction": direction.tolist(), "cost": cost, "cell": v.cell,
+                "cost_bound": v.cost_bound, "problem_view": v.problem_view, "objects": n_objects,
+                "impostors": len(v.impostors),
+            }  # fmt: skip
+    return found
+
+
+def merge_found(found: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return one result for several calls of `verify` on the same placement (shards with different seeds)."""
+    parts = list(found)
+    assert parts
+    sums = ("views", "over_budget", "over_bound", "outside_view_cell", "in_problem_views", "in_hopeless_views")
+    hopeless = [p["worst_hopeless_ratio"] for p in parts if p["worst_hopeless_ratio"] is not None]
+    worst = max(parts, key=lambda p: (p["worst_view"] is not None, p["worst_ratio"]))
+    return {
+        **worst, **{key: sum(p[key] for p in parts) for key in sums}, "seed": min(p["seed"] for p in parts),
+        "worst_hopeless_ratio": max(hopeless, default=None),
+    }  # fmt: skip
+
+
+def refuted(found: Mapping[str, Any]) -> bool:
+    """Return whether a result of `verify` contradicts what the placement promises."""
+    return bool(found["over_budget"] or found["over_bound"] or found["outside_view_cell"])
+
+
+class Eye:
+    """The placement's camera: exact costs of what the viewer draws."""
+
+    def __init__(self, placement: Placement) -> None:
+        manifest, self.placement = placement.manifest, placement
+        camera, self.price = manifest["camera"], manifest["cost_model"]
+        self.tan_y = math.tan(math.radians(camera["fov_deg"]) / 2)
+        self.tan_x = self.tan_y * camera["width"] / camera["height"]
+        self.pixels = camera["width"] * camera["height"]
+        self._polygons: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+
+    def frame(self, direction: np.ndarray) -> np.ndarray:
+        """Return (3,3) f64: right / tan_x, up / tan_y, forward; no roll, and -z is up when looking straight down."""
+        forward = direction / np.abs(direction).max()
+        forward = forward / math.sqrt(float((forward * forward).sum()))
+        right = np.array([-forward[2], 0.0, forward[0]])
+        level = math.hypot(right[0], right[2])
+        right = right / level if level > 0 else np.array([1.0, 0.0, 0.0])
+        up = np.cross(right, forward)
+        return np.stack([right / self.tan_x, up / self.tan_y, forward])
+
+    def cost(self, v: Lookup, position: np.ndarray, direction: np.ndarray) -> tuple[int, int]:
+        """Return (cost of the frame, objects drawn) of a lookup, in the budget's unit, per_frame included."""
+        index, price = self.placement.index, self.price
+        eye, frame = position - self.placement.origin_m, self.frame(direction)
+        share = np.empty(len(v.objects))
+        kernels.boxes_share(index["object_box"], v.objects, eye, frame, share)
+        drawn = share >= 0
+        cost = int(price["per_frame"]) + int(index["object_cost"][v.objects[drawn]].sum())
+        cost += len(v.impostors) * price["per_impostor"]
+        cost += price["per_impostor_triangle"] * int(index["impostor_triangles"][v.impostors].sum())
+        cost += price["per_pixel"] * self.pixels * math.fsum(share[drawn])
+        if price["per_impostor_pixel"] > 0:
+            shares = [kernels.polygons_share(*self.polygons(int(i)), eye, frame) for i in v.impostors]
+            cost += price["per_impostor_pixel"] * self.pixels * math.fsum(shares)
+        return math.ceil(cost), int(drawn.sum())
+
+    def polygons(self, impostor: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (corners (Q,3) f64 relative to origin_m, CSR rows) of all layers of an impostor."""
+        if impostor not in self._polygons:
+            layers = self.placement.impostors[impostor].layers
+            corners = [layer.corners - self.placement.origin_m for layer in layers]
+            row = np.cumsum([0, *(len(c) for c in corners)])
+            self._polygons[impostor] = np.concatenate([np.zeros((0, 3)), *corners]), row
+        return self._polygons[impostor]
+
+    def held(self, impostor: int, position: np.ndarray) -> bool:
+        """Return whether the impostor is valid from the position: whether its view cell holds it (float64 slack)."""
+        cell = self.placement.index["impostor_view_cell"][impostor]
+        q = position - self.placement.origin_m
+        slack = 1e-9 * (1 + float(np.abs(cell[:6]).max()) + float(np.abs(position).max()))
+        if self.placement.index["impostor_kind"][impostor] == 1:
+            return bool(((cell[:3] - slack <= q) & (q <= cell[3:6] + slack)).all())
+        apex, axis, (tangent, near, far) = cell[:3], cell[3:6], cell[6:].tolist()
+        along = float(((q - apex) * axis).sum())
+        across = math.sqrt(float(((q - apex - along * axis) ** 2).sum()))
+        return near - slack <= along <= far + slack and across <= tangent * along + slack * (1 + tangent)
+
+
+def draw_views(placement: Placement, n: int, seed: int) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+    """Yield n positions (3, scene metres) and directions (3, unit), see the module's head. Overlaps count twice."""
+    rng = np.random.default_rng(seed)
+    boxes = np.array(placement.manifest["view_space"], dtype=np.float64)
+    size = boxes[:, 1] - boxes[:, 0]
+    weight = np.prod(size + 1e-3, axis=1)  # a millimetre keeps flat boxes in
+    of_box = rng.choice(len(boxes), size=n, p=weight / weight.sum())
+    cells = placement.index["node_box"][placement.index["cell_node"]] + placement.origin_m
+    edges = np.array(placement.manifest["interval_edges"])
+    for k in range(n):
+        low, high = boxes[of_box[k]]
+        position = low + (high - low) * rng.random(3)
+        direction = rng.normal(size=3)
+        if k % 8 == 7:
+            inner_low, inner_high = cells[rng.integers(len(cells))]
+            side = rng.integers(0, 3, 3)  # low, high, or between, on each axis
+            inside = inner_low + (inner_high - inner_low) * rng.random(3)
+            position = np.select([side == 0, side == 1], [inner_low, inner_high], inside)
+            position = _into(boxes, position)
+            m = rng.integers(3)
+            direction = rng.choice(edges, 3)
+            direction[m] = rng.choice([-1.0, 1.0])
+        elif k % 16 == 3:
+            direction[[0, 2]] *= 10.0 ** -rng.uniform(1, 9)
+            direction[1] = math.copysign(1.0, direction[1])
+        yield position, direction / math.sqrt(float((direction * direction).sum()))
+
+
+def _into(boxes: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Return the nearest point of the view space: a cell's bounding box may hold points that no box of it does."""
+    inside = np.clip(position, boxes[:, 0], boxes[:, 1])
+    return inside[int(np.argmin(((inside - position) ** 2).sum(1)))]
+
+
+def check_level(placement: Placement, path: Path) -> None:
+    """Refuse a scene.glb that is not the level that was placed: by digest where stated, and by its objects' boxes."""
+    boxes = read_boxes(path)
+    stated = placement.manifest.get("scene")
+    with path.open("rb") as file:
+        if stated and hashlib.file_digest(file, "sha256").hexdigest() != stated["sha256"]:
+            raise ColumnsAltered(path.name, "its SHA-256 is not what the placement's manifest states")
+    index = placement.index["object_box"] + placement.origin_m
+    if sorted(boxes) != list(range(len(index))):
+        raise ColumnsAltered(path.name, f"it holds {len(boxes)} objects where the placement has {len(index)}")
+    for i, box in enumerate(index):
+        slack = BOX_TOLERANCE * (1 + float(np.abs(box).max()) + float(np.abs(placement.origin_m).max()))
+        if not np.allclose(boxes[i], box, rtol=0, atol=slack):
+            raise ColumnsAltered(path.name, f"object {i} is not where the placement's index has it")
