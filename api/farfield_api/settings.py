@@ -3,10 +3,13 @@
 import json
 import os
 import secrets
+import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+INSPECT = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +26,7 @@ class ApiSettings:
     max_scene_bytes: int = 4 << 30
     inspect_memory_bytes: int = 8 << 30
     inspect_seconds: int = 300
-    inspect_command: tuple[str, ...] = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
+    inspect_command: tuple[str, ...] = INSPECT  # prints what it reads of the file named last, as JSON
     session_s: int = 12 * 3600
     poll_s: float = 0.25  # how often the streams look for new events
 
@@ -42,5 +45,6 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
         hosts=tuple(environment.get("FARFIELD_HOSTS", "*").split(",")),
         max_scene_bytes=int(environment.get("FARFIELD_MAX_SCENE_BYTES", 4 << 30)),
         inspect_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
+        inspect_command=tuple(shlex.split(environment.get("FARFIELD_INSPECT", ""))) or INSPECT,
         inspect_seconds=int(environment.get("FARFIELD_INSPECT_SECONDS", 300)),
     )

@@ -97,6 +97,7 @@ def serve(options: Options) -> int:
             migrate(engine)
             key, made = first_key(engine, options.data / "api-key")
             progress.release_worker(engine, None)  # we hold the lock: whoever held a lease is dead
+            progress.forget_sent(engine)
             command, broker = broker_command(runtime)
             environment = {
                 **{k: os.environ.get(k, v) for k, v in THREADS.items()},
@@ -110,7 +111,15 @@ def serve(options: Options) -> int:
                 "FARFIELD_FD": str(listening.fileno()),
                 "PYTHONUNBUFFERED": "1",
             }
-            children.append(Child(name="broker", command=command, environment=dict, log=log / "broker.log"))
+            children.append(
+                Child(
+                    name="broker",
+                    command=command,
+                    environment=dict,
+                    log=log / "broker.log",
+                    died=lambda given: _forget_sent(engine),
+                )
+            )
             children[0].start()
             wait_for_broker(broker)
             children += _python_children(options, engine, environment, log, listening.fileno())
@@ -157,6 +166,13 @@ def _python_children(
             )
         )
     return found
+
+
+def _forget_sent(engine: sa.Engine) -> None:
+    try:
+        progress.forget_sent(engine)
+    except sa.exc.OperationalError as error:  # the reconciler then waits longer before it sends again
+        print(f"farfield: the broker has ended, and the database does not answer: {error}", file=sys.stderr)
 
 
 def _release(engine: sa.Engine, worker: str) -> None:

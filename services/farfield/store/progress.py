@@ -114,6 +114,12 @@ def release_worker(engine: sa.Engine, worker: str | None) -> int:
         ).rowcount
 
 
+def forget_sent(engine: sa.Engine) -> None:
+    """Take all messages for lost: the broker is a new one, so whatever is ready is to be sent again now."""
+    with write(engine) as tx:
+        tx.execute(sa.update(shard).where(shard.c.state == "ready").values(sent_at=None))
+
+
 def _step(
     tx: sa.Connection, artifacts: LocalArtifacts, job_id: str, kinds: Mapping[str, StageKind]
 ) -> tuple[bool, list[Message]]:
