@@ -190,7 +190,7 @@ def glb(scene: Scene) -> bytes:
     nodes: list[dict[str, Any]] = [root]
     for i, matrix in enumerate(scene.object_matrix):
         columns = np.vstack([matrix, [0, 0, 0, 1]]).T.ravel().tolist()
-        nodes.append({"mesh": int(scene.object_mesh[i]), "matrix": columns, "extras": {"id": i}})
+        nodes.append({"mesh": int(scene.object_mesh[i]), "matrix": columns, "extras": {"object": i}})
     positions, indices = scene.position.astype("<f4").tobytes(), scene.index.astype("<u4").tobytes()
     meshes, accessors = [], []
     for p in range(len(scene.primitive_material)):

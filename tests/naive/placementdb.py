@@ -81,10 +81,18 @@ def coarser(texels: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
     step = 2**level
     rows, columns = -(-texels.shape[0] // step), -(-texels.shape[1] // step)
     alpha, colour = np.zeros((rows, columns), dtype=np.uint8), np.zeros((rows, columns, 3))
-    for j in range(rows):
-        for i in range(columns):
-            under = texels[j * step : (j + 1) * step, i * step : (i + 1) * step].reshape(-1, 4)
-            alpha[j, i] = under[:, 3].max()
-            chosen = under[under[:, 3] > 0] if (under[:, 3] > 0).any() else under
+    covered = np.zeros((rows, columns), dtype=bool)
+    for j, i in np.ndindex(rows, columns):
+        under = texels[j * step : (j + 1) * step, i * step : (i + 1) * step].reshape(-1, 4)
+        alpha[j, i] = under[:, 3].max()
+        covered[j, i] = alpha[j, i] > 0
+        if covered[j, i]:
+            chosen = under[under[:, 3] > 0]
             colour[j, i] = [np.mean([to_linear(float(x)) for x in chosen[:, k]]) for k in range(3)]
+    if level == 0:  # as the bake bled it
+        return alpha, np.array([[[to_linear(float(x)) for x in texel[:3]] for texel in row] for row in texels])
+    for j, i in np.argwhere(~covered):
+        near = np.s_[max(j - 1, 0) : j + 2, max(i - 1, 0) : i + 2]
+        if covered[near].any():
+            colour[j, i] = colour[near][covered[near]].mean(0)
     return alpha, colour

@@ -1,6 +1,6 @@
 """Read the boxes of the objects in scene.glb: only what `verify` needs, and by nobody else's code.
 
-`farfield place` writes one node per object, its id in the node's extras; positions are float32 in the binary chunk.
+`farfield place` writes one node per object, its id in `extras.object`; positions are float32 in the binary chunk.
 """
 
 import json
@@ -54,7 +54,7 @@ def _boxes(content: bytes) -> dict[int, np.ndarray]:
                 [_positions(document, binary, p) for p in document["meshes"][mesh]["primitives"]]
             )
         moved = sum(points[mesh][:, k, None] * world[:3, k] for k in range(3)) + world[:3, 3]
-        out[int(node["extras"]["id"])] = np.stack([moved.min(0), moved.max(0)])
+        out[int(node["extras"]["object"])] = np.stack([moved.min(0), moved.max(0)])
     return out
 
 
