@@ -1,0 +1,108 @@
+/** Made by scripts/make_api_types.py from the API's OpenAPI document. Do not edit. */
+
+export interface CameraSettings {
+  fov_deg?: number;
+  width?: number;
+  height?: number;
+}
+
+export interface JobRequest {
+  /** digest of an uploaded scene */
+  scene: string;
+  /** what is left out has its default */
+  settings?: Settings;
+  /** what to call it; the scene's name by default */
+  name?: string | null;
+}
+
+export interface Opening {
+  /** an API key */
+  key?: string | null;
+  /** the token of a login link */
+  login?: string | null;
+}
+
+export interface PlacementSettings {
+  candidates?: "shafts+boxes" | "shafts" | "boxes";
+  assignment?: "fastest" | "least";
+}
+
+export interface Problem {
+  type: string;
+  title: string;
+  status: number;
+  /** the error's stable name */
+  code: string;
+  /** what is wrong, and where */
+  detail: string;
+  /** what to do */
+  advice?: string;
+  /** the setting's dotted name, for SettingsInvalid */
+  key?: string;
+  /** for RequestInvalid: where and what */
+  errors?: (Record<string, unknown>)[];
+}
+
+export interface QualitySettings {
+  pixel_error?: number;
+  pixels_at?: "centre" | "anywhere";
+}
+
+export interface SceneSettings {
+  unit_m?: number | null;
+  up?: "y" | "z" | null;
+}
+
+export interface Settings {
+  budget?: string;
+  device?: string;
+  seed?: number;
+  scene?: SceneSettings;
+  camera?: CameraSettings;
+  view_space?: ViewSpaceSettings;
+  quality?: QualitySettings;
+  visibility?: VisibilitySettings;
+  placement?: PlacementSettings;
+}
+
+export type Stage = "scene" | "hierarchy" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "placementdb" | "evaluation";
+
+export interface Target {
+  /** the page to open */
+  to?: string;
+}
+
+export interface ViewSpaceSettings {
+  boxes?: ([[number, number, number], [number, number, number]])[] | null;
+  cell_m?: number | null;
+  interval_deg?: number;
+}
+
+export interface VisibilitySettings {
+  mode?: "off";
+}
+
+/** Every route; the client names no other. */
+export type Route =
+  | "GET /livez"
+  | "GET /metrics"
+  | "GET /readyz"
+  | "GET /v1/jobs"
+  | "POST /v1/jobs"
+  | "DELETE /v1/jobs/{job_id}"
+  | "GET /v1/jobs/{job_id}"
+  | "POST /v1/jobs/{job_id}/cancel"
+  | "GET /v1/jobs/{job_id}/events"
+  | "GET /v1/jobs/{job_id}/report"
+  | "GET /v1/jobs/{job_id}/stages/{stage}/shards"
+  | "POST /v1/logins"
+  | "GET /v1/placements"
+  | "GET /v1/placements/{placement}/{path}"
+  | "GET /v1/scenes"
+  | "POST /v1/scenes"
+  | "GET /v1/scenes/{digest}"
+  | "HEAD /v1/scenes/{digest}"
+  | "GET /v1/scenes/{digest}/objects"
+  | "DELETE /v1/session"
+  | "GET /v1/session"
+  | "POST /v1/session";

@@ -1,0 +1,155 @@
+/** What the API answers. tests/api/test_types.py holds every key here that is not optional against real answers. */
+import type { Settings, Stage } from "./schema";
+
+export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
+export type StageState = "waiting" | "planning" | "running" | "merging" | "reporting" | "done" | "skipped" | "failed";
+export type ShardState = "ready" | "running" | "done" | "failed" | "cancelled";
+export type ShardKind = "plan" | "run" | "merge" | "report";
+export type Verdict = "valid" | "infeasible" | "unproven";
+export type Vec3 = [number, number, number];
+export type Box = [Vec3, Vec3];
+
+export interface Session {
+  tenant: string;
+  scopes: string[];
+  csrf_token: string | null;
+}
+
+export interface JobError {
+  code?: string;
+  message?: string;
+  advice?: string;
+  stage?: string;
+}
+
+export interface JobLinks {
+  self: string;
+  events: string;
+  page: string;
+  report?: string;
+  report_page?: string;
+  placement?: string;
+  viewer?: string;
+}
+
+export interface Job {
+  id: string;
+  name: string;
+  scene: string;
+  budget: string;
+  state: JobState;
+  verdict: Verdict | null;
+  error: JobError | null;
+  stage: Stage | null;
+  progress: number;
+  created_at: string;
+  started_at: string | null;
+  finished_at: string | null;
+  links: JobLinks;
+}
+
+export interface StageRow {
+  name: Stage;
+  state: StageState;
+  skipped: string | null;
+  shards: ShardCounts;
+  seconds: number | null;
+  peak_bytes: number | null;
+}
+
+export interface ShardCounts {
+  total: number;
+  ready: number;
+  running: number;
+  done: number;
+  failed: number;
+  cancelled: number;
+}
+
+export interface JobDetail extends Job {
+  settings: Settings;
+  last_event: number;
+  stages: StageRow[];
+}
+
+export interface JobPage {
+  jobs: Job[];
+  next: string | null;
+}
+
+export interface ShardRow {
+  kind: ShardKind;
+  ordinal: number;
+  state: ShardState;
+  attempt: number;
+  cached: boolean;
+  seconds: number | null;
+  peak_bytes: number | null;
+  worker: string | null;
+  error: JobError | null;
+}
+
+export interface ShardPage {
+  shards: ShardRow[];
+}
+
+export interface JobEvent {
+  seq: number;
+  kind: string;
+  data: EventData;
+  at: string;
+}
+
+/** Which keys are there depends on the kind: job, stage or shard. */
+export interface EventData {
+  state?: string;
+  stage?: Stage;
+  kind?: ShardKind;
+  ordinal?: number;
+  attempt?: number;
+  seconds?: number;
+  cached?: boolean;
+  skipped?: string;
+  shards?: number;
+  verdict?: Verdict | null;
+  error?: JobError;
+}
+
+export interface EventPage {
+  events: JobEvent[];
+  next: number;
+}
+
+/** What `farfield inspect` says of a level, without its objects. */
+export interface Scene {
+  digest: string;
+  name: string;
+  bytes: number;
+  uploaded_at: string;
+  objects: number;
+  triangles: number;
+  warnings: string[];
+  calls?: number;
+  meshes?: number;
+  bounds?: Box;
+  textures?: { bytes: number }[];
+  dropped_triangles?: number;
+  suggested?: Suggestion;
+}
+
+export interface Suggestion {
+  view_space: { boxes: Box[]; cell_m: number; interval_deg: number };
+  budgets: string[];
+  why: Record<string, string>;
+}
+
+export interface SceneObject {
+  id: number;
+  name: string;
+  box: Box;
+  triangles: number;
+}
+
+export interface SceneObjects {
+  objects: SceneObject[];
+}

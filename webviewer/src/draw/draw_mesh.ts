@@ -1,0 +1,141 @@
+/**
+ * The level's geometry: `scene.glb` through three.js, one mesh per primitive, drawn object by object as the selection says.
+ *
+ * three.js neither culls (it would by spheres and draw more than was counted) nor updates matrices: objects are static.
+ */
+import * as THREE from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import fragmentSource from "../shaders/mesh.fragment.glsl?raw";
+import vertexSource from "../shaders/mesh.vertex.glsl?raw";
+import type { DrawStats } from "./draw_impostor_layers";
+import type { View } from "./view";
+
+export type Lighting = Record<"sun_direction" | "sun" | "sky" | "ground", [number, number, number]>;
+
+// LIGHTING of services/farfield/bake/shade.py, for a placement that states none.
+const DEFAULT_LIGHTING: Lighting = {
+  sun_direction: [0.48, 0.64, 0.6], sun: [0.74, 0.7, 0.62], sky: [0.5, 0.56, 0.66], ground: [0.24, 0.22, 0.2],
+};
+
+export function readLighting(stated: Record<string, unknown> | null): Lighting {
+  const out = { ...DEFAULT_LIGHTING };
+  for (const key of Object.keys(out) as (keyof Lighting)[]) {
+    const value = stated?.[key];
+    if (Array.isArray(value) && value.length === 3 && value.every((x) => Number.isFinite(x))) out[key] = value as Lighting["sun"];
+  }
+  return out;
+}
+
+export class LevelMesh {
+  readonly renderer: THREE.WebGLRenderer;
+  notice = "";
+  private readonly scene = new THREE.Scene();
+  private readonly camera = new THREE.PerspectiveCamera();
+  private readonly mode = { value: 0 };
+  private readonly shared: Record<string, THREE.IUniform>;
+  private readonly materials = new Map<THREE.Material, THREE.ShaderMaterial>();
+  private meshes: THREE.Mesh[][] = [];
+  private readonly drawn: THREE.Object3D[] = [];
+
+  constructor(canvas: HTMLCanvasElement, gl: WebGL2RenderingContext, lighting: Lighting) {
+    this.renderer = new THREE.WebGLRenderer({ canvas, context: gl, antialias: false, alpha: false });
+    this.renderer.autoClear = false;
+    this.renderer.info.autoReset = false;
+    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace; // the shader encodes
+    this.scene.matrixWorldAutoUpdate = false;
+    this.scene.children = this.drawn; // filled anew every frame; parents are never asked
+    this.camera.matrixAutoUpdate = false;
+    this.camera.matrixWorldAutoUpdate = false;
+    const vector = (v: [number, number, number]): THREE.IUniform => ({ value: new THREE.Vector3(...v) });
+    this.shared = {
+      u_mode: this.mode, u_sun_direction: vector(lighting.sun_direction), u_sun: vector(lighting.sun), u_sky: vector(lighting.sky),
+      u_ground: vector(lighting.ground),
+    };
+  }
+
+  get ready(): boolean {
+    return this.meshes.length > 0;
+  }
+
+  /** Parses a GLB whose nodes carry `extras.object`; throws if it lacks one of the n objects. */
+  async load(glb: ArrayBuffer, n: number): Promise<void> {
+    const gltf = await new GLTFLoader().parseAsync(glb, "");
+    this.notice = String((gltf.asset as { copyright?: string }).copyright ?? "");
+    const meshes: THREE.Mesh[][] = Array.from({ length: n }, () => []);
+    gltf.scene.updateMatrixWorld(true);
+    const walk = (node: THREE.Object3D, inherited: number): void => {
+      const stated = node.userData.object;
+      const object = Number.isInteger(stated) && stated >= 0 && stated < n ? (stated as number) : inherited;
+      const mesh = node as THREE.Mesh;
+      if (mesh.isMesh && object >= 0) meshes[object].push(mesh);
+      for (const child of node.children) walk(child, object);
+    };
+    walk(gltf.scene, -1);
+    const missing = meshes.findIndex((list) => !list.length);
+    if (missing >= 0) throw new Error(`scene.glb does not belong to this placement: it has no object ${missing}.`);
+    for (const mesh of meshes.flat()) {
+      const material = mesh.material as THREE.Material;
+      mesh.material = this.shaded(material, mesh.geometry);
+      mesh.frustumCulled = false;
+      mesh.matrixAutoUpdate = false;
+      mesh.matrixWorldAutoUpdate = false;
+      mesh.children = [];
+    }
+    this.meshes = meshes;
+  }
+
+  /** Draws the objects into the current viewport and scissor of the renderer. */
+  draw(view: View, objects: Int32Array, n: number, stats: DrawStats): void {
+    this.setCamera(view);
+    this.mode.value = view.mode;
+    let k = 0;
+    for (let i = 0; i < n; i++) {
+      const list = this.meshes[objects[i]];
+      for (let j = 0; j < list.length; j++) this.drawn[k++] = list[j];
+    }
+    this.drawn.length = k;
+    this.renderer.info.reset();
+    this.renderer.render(this.scene, this.camera);
+    stats.calls += this.renderer.info.render.calls;
+    stats.triangles += this.renderer.info.render.triangles;
+  }
+
+  private setCamera(view: View): void {
+    const { frame, near, far, tanX, tanY } = view;
+    const { eye, right: r, up: u, forward: f } = frame;
+    this.camera.matrixWorld.set(r[0], u[0], -f[0], eye[0], r[1], u[1], -f[1], eye[1], r[2], u[2], -f[2], eye[2], 0, 0, 0, 1);
+    this.camera.matrixWorldInverse.copy(this.camera.matrixWorld).invert();
+    this.camera.projectionMatrix.makePerspective(-near * tanX, near * tanX, near * tanY, -near * tanY, near, far);
+    this.camera.projectionMatrixInverse.copy(this.camera.projectionMatrix).invert();
+  }
+
+  private shaded(source: THREE.Material, geometry: THREE.BufferGeometry): THREE.ShaderMaterial {
+    const known = this.materials.get(source);
+    if (known) return known;
+    const from = source as THREE.MeshStandardMaterial;
+    const map = from.map ?? null;
+    const emissive = from.emissive ? from.emissive.clone().multiplyScalar(from.emissiveIntensity ?? 1) : new THREE.Color(0);
+    const color = from.color ?? new THREE.Color(1, 1, 1);
+    if (map) map.updateMatrix();
+    const defines: Record<string, string> = {};
+    if (map) defines.TEXTURED = "";
+    if (from.side === THREE.DoubleSide) defines.TWO_SIDED = "";
+    if (from.transparent) defines.BLENDED = "";
+    const colors = geometry.getAttribute("color");
+    const made = new THREE.ShaderMaterial({
+      glslVersion: THREE.GLSL3, vertexShader: vertexSource, fragmentShader: fragmentSource, defines, side: from.side,
+      transparent: from.transparent, depthWrite: !from.transparent, vertexColors: from.vertexColors && !!colors,
+      toneMapped: false, fog: false, lights: false,
+      uniforms: {
+        ...this.shared,
+        u_base: { value: new THREE.Vector4(color.r, color.g, color.b, from.opacity) },
+        u_emissive: { value: new THREE.Vector3(emissive.r, emissive.g, emissive.b) },
+        u_cutoff: { value: from.alphaTest },
+        u_map: { value: map },
+        u_uv_transform: { value: map ? map.matrix : new THREE.Matrix3() },
+      },
+    });
+    this.materials.set(source, made);
+    return made;
+  }
+}

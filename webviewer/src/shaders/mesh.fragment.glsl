@@ -1,0 +1,41 @@
+// The lighting of farfield.bake.shade, with which impostors were baked.
+in vec3 v_normal;
+in vec4 v_color;
+in vec2 v_uv;
+
+uniform vec4 u_base;
+uniform vec3 u_emissive;
+uniform float u_cutoff; // 0: opaque
+uniform sampler2D u_map;
+uniform vec3 u_sun_direction;
+uniform vec3 u_sun;
+uniform vec3 u_sky;
+uniform vec3 u_ground;
+uniform int u_mode; // 2: black, for pictures that count what impostors cover
+
+out vec4 o_color;
+
+vec3 encode_srgb(vec3 c) {
+  c = clamp(c, 0.0, 1.0);
+  return mix(c * 12.92, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, greaterThan(c, vec3(0.0031308)));
+}
+
+void main() {
+  vec4 base = u_base * v_color;
+#ifdef TEXTURED
+  base *= texture(u_map, v_uv); // an sRGB texture: decoded by the sampler
+#endif
+  if (u_cutoff > 0.0 && base.a < u_cutoff) discard;
+  vec3 n = normalize(v_normal);
+#ifdef TWO_SIDED
+  if (!gl_FrontFacing) n = -n;
+#endif
+  vec3 light = u_ground + (u_sky - u_ground) * ((n.y + 1.0) / 2.0) + u_sun * max(0.0, dot(n, u_sun_direction));
+  vec3 color = encode_srgb(base.rgb * light + u_emissive);
+#ifdef BLENDED
+  float alpha = base.a;
+#else
+  float alpha = 1.0;
+#endif
+  o_color = u_mode == 2 ? vec4(0.0, 0.0, 0.0, 1.0) : vec4(color, alpha);
+}

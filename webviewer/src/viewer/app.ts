@@ -1,0 +1,271 @@
+/** The running viewer: one frame after another, drawn only when something has changed. */
+import { clampToBoxes } from "../select/clamp";
+import type { Placement } from "../placementdb/placement";
+import type { Vec3 } from "../placementdb/manifest";
+import { LOOK_AHEAD_S } from "../stream/plan";
+import type { Traffic } from "../stream/files";
+import { Streamer } from "../stream/streamer";
+import { byId, setShown, setText } from "../ui/dom";
+import { toggleTheme } from "../ui/theme";
+import { Walker } from "./camera";
+import { Controls } from "./controls";
+import type { Engine, Modes } from "./engine";
+import { FrameClock } from "./frame_clock";
+import { Overlay, type Counts } from "./overlay";
+import { Panorama } from "./panorama";
+
+const OVERLAY_EVERY_MS = 100;
+const PLAN_EVERY_MS = 250;
+const REST_MS = 300;
+const TOGGLES: Record<string, keyof Modes> = {
+  "t-impostors": "impostors", "t-split": "split", "t-layers": "layers", "t-cells": "cells", "t-freeze": "freeze",
+};
+const KEYS: Record<string, string> = { i: "t-impostors", x: "t-split", l: "t-layers", c: "t-cells", f: "t-freeze", g: "t-fly" };
+
+export class App {
+  readonly walker: Walker;
+  readonly streamer: Streamer;
+  readonly counts: Counts = { over: 0, overForStreaming: 0 };
+  private readonly controls: Controls;
+  private readonly clock: FrameClock;
+  private readonly overlay: Overlay;
+  private readonly panorama: Panorama;
+  private dirty = 2; // frames still to draw
+  private lastMs = 0;
+  private plannedAt = 0;
+  private wroteAt = 0;
+  private movedAt = 0;
+  private panoramaFor = "";
+
+  constructor(
+    readonly engine: Engine,
+    readonly placement: Placement,
+    private readonly traffic: Traffic,
+    private readonly canvas: HTMLCanvasElement,
+  ) {
+    this.walker = new Walker(placement.manifest.view_space);
+    this.streamer = new Streamer(placement, engine.pages, () => this.touch());
+    this.clock = new FrameClock(engine.gl);
+    this.overlay = new Overlay(engine, this.clock);
+    this.panorama = new Panorama(placement);
+    this.controls = new Controls(canvas, byId<SVGElement>("stick"), this.walker, {
+      key: (key) => this.key(key),
+      tap: (x, y) => this.pick(x, y),
+      moved: () => this.touch(),
+    });
+    this.connect();
+    new ResizeObserver(() => this.fit()).observe(byId("main"));
+    this.fit();
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  /** Something that the picture shows has changed. */
+  touch(): void {
+    this.dirty = 2;
+  }
+
+  /** Sizes the canvas: the manifest's aspect, never more pixels than the manifest's, letterboxed in the window. */
+  fit(): void {
+    const { width, height } = this.placement.manifest.camera;
+    const box = byId("main").getBoundingClientRect();
+    const scale = Math.min(box.width / width, box.height / height);
+    const style = this.canvas.style;
+    style.width = `${width * scale}px`;
+    style.height = `${height * scale}px`;
+    style.left = `${(box.width - width * scale) / 2}px`;
+    style.top = `${(box.height - height * scale) / 2}px`;
+    const share = Math.min(1, scale * devicePixelRatio);
+    this.resize(Math.max(1, Math.round(width * share)), Math.max(1, Math.round(height * share)));
+    this.placeSplit();
+  }
+
+  /** The full size that the guarantee speaks of, for pictures and counts. */
+  atFullSize<T>(work: () => T): T {
+    const { width, height } = this.placement.manifest.camera;
+    const [w, h] = [this.canvas.width, this.canvas.height];
+    this.resize(width, height);
+    try {
+      return work();
+    } finally {
+      this.resize(w, h);
+      this.engine.draw(this.walker.position, this.walker.direction);
+    }
+  }
+
+  /** Resolves when everything that the present view shows is resident (or known to be damaged) and geometry is there. */
+  async settle(): Promise<void> {
+    for (;;) {
+      this.streamer.upload(Infinity);
+      this.locate(true);
+      const s = this.engine.situation;
+      const chunkHere = s.chunk < 0 || this.placement.residentChunk(s.chunk) || this.streamer.damaged.has(this.placement.manifest.chunks[s.chunk].file);
+      if (this.engine.level.ready && chunkHere && s.needed.every((p) => this.streamer.settled(p))) return;
+      await new Promise((resolve) => setTimeout(resolve, 10));
+    }
+  }
+
+  setMode(modes: Partial<Modes & { free: boolean; overlay: boolean }>): void {
+    const { free, overlay, ...rest } = modes;
+    Object.assign(this.engine.modes, rest);
+    if (free !== undefined) this.walker.setFree(free);
+    if (overlay !== undefined) for (const e of document.querySelectorAll<HTMLElement>(".overlay")) e.hidden = !overlay;
+    for (const [id, mode] of Object.entries(TOGGLES)) byId<HTMLInputElement>(id).checked = Boolean(this.engine.modes[mode]);
+    byId<HTMLInputElement>("t-fly").checked = this.walker.free;
+    if (!this.engine.modes.layers) setShown("picked", false);
+    this.placeSplit();
+    this.touch();
+  }
+
+  private frame(now: number): void {
+    requestAnimationFrame((later) => this.frame(later));
+    const seconds = Math.min(0.1, (now - this.lastMs) / 1000);
+    this.lastMs = now;
+    if (this.controls.advance(seconds)) {
+      this.movedAt = now;
+      this.touch();
+    }
+    this.streamer.upload(1);
+    if (this.locate(now - this.plannedAt > PLAN_EVERY_MS)) this.touch();
+    if (this.dirty > 0) {
+      this.dirty--;
+      this.draw();
+    }
+    if (now - this.wroteAt > OVERLAY_EVERY_MS) {
+      this.wroteAt = now;
+      this.overlay.write(this.counts, this.streamer, this.traffic);
+      this.overlay.writeHeading(this.walker.yaw);
+      this.writeOutside();
+      if (now - this.movedAt > REST_MS) this.lookAround();
+    }
+  }
+
+  private draw(): void {
+    const { engine, clock } = this;
+    clock.begin();
+    engine.draw(this.walker.position, this.walker.direction);
+    const s = engine.selection;
+    const over = s.cost > this.placement.manifest.budget.amount;
+    const late = over && engine.modes.impostors && engine.situation.shown.length < engine.situation.impostors;
+    if (over) this.counts.over++;
+    if (late) this.counts.overForStreaming++;
+    clock.end(s.cost, s.geometryCost, late);
+  }
+
+  private locate(replan: boolean): boolean {
+    const { position, velocity } = this.walker;
+    const changed = this.engine.locate(position, this.walker.direction);
+    if (changed || replan) {
+      this.plannedAt = this.lastMs;
+      const ahead = position.map((x, a) => x + LOOK_AHEAD_S * velocity[a]);
+      this.streamer.update(this.engine.situation.chunk, this.engine.situation.needed, ahead);
+    }
+    return changed;
+  }
+
+  private lookAround(): void {
+    const { position, pitch } = this.walker;
+    const key = `${position} ${pitch} ${this.placement.residentChunk(this.engine.situation.chunk) ? 1 : 0}`;
+    if (key === this.panoramaFor) return;
+    this.panoramaFor = key;
+    if (this.panorama.update(position, pitch)) this.overlay.writePanorama(this.panorama, this.walker.yaw);
+  }
+
+  private writeOutside(): void {
+    const { walker, engine } = this;
+    const lost = walker.free && !walker.inside;
+    let why = "";
+    if (lost) {
+      const nearest: Vec3 = [0, 0, 0];
+      clampToBoxes(this.placement.manifest.view_space, walker.position, nearest);
+      const far = Math.hypot(...nearest.map((x, a) => x - walker.position[a]));
+      why = `Free flight: ${far < 10 ? far.toFixed(1) : far.toFixed(0)} m outside the view space.`;
+    } else if (engine.modes.freeze) {
+      why = `Cell ${engine.situation.cell} and its interval are held.`;
+    }
+    setShown("outside", why !== "");
+    setText("outside-why", why);
+    setText("outside-key", lost ? "G" : "F");
+  }
+
+  private pick(x: number, y: number): void {
+    if (!this.engine.modes.layers) return;
+    const { width, height } = this.canvas;
+    const ids = this.engine.drawIds(this.walker.position, this.walker.direction);
+    this.engine.draw(this.walker.position, this.walker.direction);
+    const at = 4 * (Math.min(height - 1, Math.floor((1 - y) * height)) * width + Math.min(width - 1, Math.floor(x * width)));
+    const id = (ids[at] | (ids[at + 1] << 8) | (ids[at + 2] << 16)) - 1;
+    if (id < 0) return setShown("picked", false);
+    const { index, manifest } = this.placement;
+    const cluster = index.impostorCluster[id];
+    let far = 0;
+    for (let a = 0; a < 3; a++) {
+      const p = this.walker.position[a] - manifest.origin_m[a];
+      far += Math.max(index.clusterBox[6 * cluster + a] - p, p - index.clusterBox[6 * cluster + 3 + a], 0) ** 2;
+    }
+    let triangles = 0;
+    for (let o = index.clusterStart[cluster]; o < index.clusterStop[cluster]; o++) triangles += index.objectTriangles[o];
+    this.overlay.writePicked(id, index, Math.sqrt(far), triangles);
+  }
+
+  private key(key: string): boolean {
+    if (KEYS[key]) {
+      byId<HTMLInputElement>(KEYS[key]).click();
+    } else if (key === "h") {
+      const hidden = Boolean(byId("main").querySelector<HTMLElement>(".overlay")!.hidden);
+      this.setMode({ overlay: hidden });
+    } else if (key === "t") {
+      toggleTheme();
+    } else if (key === "?") {
+      byId("b-keys").click();
+    } else if (key === "Escape") {
+      setShown("keys", false);
+      byId("b-keys").setAttribute("aria-expanded", "false");
+    } else {
+      return false;
+    }
+    return true;
+  }
+
+  private connect(): void {
+    for (const [id, mode] of Object.entries(TOGGLES)) {
+      byId<HTMLInputElement>(id).addEventListener("change", (e) => this.setMode({ [mode]: (e.target as HTMLInputElement).checked }));
+    }
+    byId<HTMLInputElement>("t-fly").addEventListener("change", (e) => this.setMode({ free: (e.target as HTMLInputElement).checked }));
+    byId("b-theme").addEventListener("click", toggleTheme);
+    byId("b-keys").addEventListener("click", () => {
+      const shown = Boolean(byId("keys").hidden);
+      setShown("keys", shown);
+      byId("b-keys").setAttribute("aria-expanded", String(shown));
+    });
+    byId("notice-button").addEventListener("click", () => location.reload());
+    const split = byId("split");
+    const move = (at: number): void => this.setMode({ splitAt: Math.max(0.02, Math.min(0.98, at)) });
+    split.addEventListener("pointerdown", (e) => split.setPointerCapture(e.pointerId));
+    split.addEventListener("pointermove", (e) => {
+      if (!split.hasPointerCapture(e.pointerId)) return;
+      const r = this.canvas.getBoundingClientRect();
+      move((e.clientX - r.left) / r.width);
+    });
+    split.addEventListener("keydown", (e) => {
+      if (e.key !== "ArrowLeft" && e.key !== "ArrowRight") return;
+      e.stopPropagation();
+      e.preventDefault();
+      move(this.engine.modes.splitAt + (e.key === "ArrowLeft" ? -0.01 : 0.01));
+    });
+  }
+
+  private placeSplit(): void {
+    const { split, splitAt } = this.engine.modes;
+    setShown("split", split);
+    const style = this.canvas.style;
+    byId("split").style.left = `${Number.parseFloat(style.left) + splitAt * Number.parseFloat(style.width)}px`;
+    byId("split").setAttribute("aria-valuenow", String(Math.round(100 * splitAt)));
+  }
+
+  private resize(width: number, height: number): void {
+    if (this.canvas.width === width && this.canvas.height === height) return;
+    this.canvas.width = width;
+    this.canvas.height = height;
+    this.touch();
+  }
+}

@@ -1,0 +1,225 @@
+/**
+ * From a camera to a picture: where it is, what that shows, what of it is resident, and the draw calls.
+ *
+ * Until an impostor's pages are resident its objects are drawn as geometry: never a hole, and the frame is counted when that
+ * puts it over budget.
+ */
+import { CellLines } from "../draw/draw_cells";
+import { ImpostorLayers, type DrawStats } from "../draw/draw_impostor_layers";
+import { LevelMesh, readLighting } from "../draw/draw_mesh";
+import { IDS, PICTURE, TINTED, farthest, makeView, setViewProjection, type View } from "../draw/view";
+import { ChunkBuffers } from "../gl/chunk_buffers";
+import { PageArray } from "../gl/page_array";
+import { chunkOfCell, impostorsOfView, viewInChunk, visibleOfCell, type Placement } from "../placementdb/placement";
+import type { PlacementChunk } from "../placementdb/chunk";
+import type { Vec3 } from "../placementdb/manifest";
+import { findCell } from "../select/cells";
+import { cameraFrame, makeFrustum, setFrustum } from "../select/frustum";
+import { findInterval } from "../select/intervals";
+import { Selector, type Selection } from "../select/select";
+import { pagesOf } from "../stream/plan";
+
+export const PAGE_BYTES_CAP = 384 * 2 ** 20;
+const NEAR_M = 0.1;
+
+export interface Modes {
+  impostors: boolean;
+  layers: boolean;
+  cells: boolean;
+  split: boolean;
+  freeze: boolean;
+  splitAt: number; // share of the width that shows impostors
+  background: [number, number, number]; // sRGB, 0 to 1
+}
+
+/** What the current position and direction show. */
+export interface Situation {
+  cell: number; // -1: outside the view space
+  interval: number;
+  chunk: number; // -1: the cell is in none
+  problemView: number | null;
+  hopeless: boolean;
+  costBound: number;
+  impostors: number; // that the placement shows here
+  shown: number[]; // of them resident: local impostors of the chunk
+  needed: number[]; // pages
+  waiting: boolean; // something of the current view is still on its way
+}
+
+export class Engine {
+  readonly placement: Placement;
+  readonly gl: WebGL2RenderingContext;
+  readonly pages: PageArray;
+  readonly level: LevelMesh;
+  readonly modes: Modes = {
+    impostors: true, layers: false, cells: false, split: false, freeze: false, splitAt: 0.5, background: [0.62, 0.74, 0.82],
+  };
+  readonly situation: Situation = {
+    cell: -1, interval: -1, chunk: -1, problemView: null, hopeless: false, costBound: 0, impostors: 0, shown: [], needed: [], waiting: true,
+  };
+  readonly drawn: DrawStats = { calls: 0, triangles: 0 };
+  readonly view: View = makeView();
+  selection: Selection;
+  private readonly layers: ImpostorLayers;
+  private readonly selector: Selector;
+  private readonly geometry: Selector;
+  private readonly frustum = makeFrustum();
+  private readonly buffers = new Map<PlacementChunk, ChunkBuffers>();
+  private cellLines: CellLines | null = null;
+  private key = "";
+  private readonly canvas: HTMLCanvasElement;
+  private readonly local: Vec3 = [0, 0, 0];
+
+  constructor(canvas: HTMLCanvasElement, gl: WebGL2RenderingContext, placement: Placement) {
+    this.canvas = canvas;
+    this.gl = gl;
+    this.placement = placement;
+    const { manifest, index } = placement;
+    this.level = new LevelMesh(canvas, gl, readLighting(manifest.lighting));
+    this.pages = new PageArray(gl, manifest, PAGE_BYTES_CAP);
+    this.layers = new ImpostorLayers(gl);
+    this.selector = new Selector(index, manifest);
+    this.geometry = new Selector(index, manifest);
+    this.selection = this.selector.selection;
+  }
+
+  /** Finds cell, interval and impostors of the view; returns whether anything changed. */
+  locate(position: ArrayLike<number>, direction: ArrayLike<number>): boolean {
+    const { manifest, index } = this.placement;
+    const s = this.situation;
+    if (!this.modes.freeze) {
+      s.cell = findCell(index, manifest, position);
+      s.interval = findInterval(manifest.interval_edges, direction);
+      s.chunk = s.cell < 0 ? -1 : chunkOfCell(manifest, s.cell);
+    }
+    const chunk = s.chunk < 0 ? null : (this.placement.residentChunk(s.chunk) ?? null);
+    const key = `${s.cell} ${s.interval} ${chunk ? chunk.number : -1} ${this.pages.version} ${this.modes.impostors}`;
+    if (key === this.key) return false;
+    this.key = key;
+    const view = chunk && s.cell >= 0 ? viewInChunk(chunk, s.cell, s.interval) : -1;
+    const list = chunk && view >= 0 ? impostorsOfView(chunk, view) : [];
+    s.impostors = list.length;
+    s.problemView = chunk && view >= 0 ? chunk.views[0] + view : null;
+    s.hopeless = chunk !== null && view >= 0 && chunk.viewHopeless[view] !== 0;
+    s.costBound = manifest.cost_model.per_frame + (chunk && view >= 0 ? chunk.viewCost[view] : manifest.worst_nonproblem);
+    s.needed = chunk ? pagesOf(chunk, list) : [];
+    s.shown = [];
+    for (const m of list) {
+      let resident = true;
+      for (let r = chunk!.impostorLayer[m]; r < chunk!.impostorLayer[m + 1]; r++) resident &&= this.pages.isResident(chunk!.layerPage[r]);
+      if (resident) s.shown.push(m);
+    }
+    s.waiting = (s.chunk >= 0 && !chunk) || s.shown.length < s.impostors;
+    for (const page of s.needed) this.pages.touch(page);
+    const shown = this.modes.impostors ? s.shown : [];
+    const visible = s.cell < 0 ? null : visibleOfCell(chunk, s.cell);
+    this.selector.setView(visible, chunk, shown);
+    this.geometry.setView(visible, null, []);
+    this.layers.setShown(chunk && shown.length ? this.buffersOf(chunk) : null, shown);
+    return true;
+  }
+
+  /** Draws one frame into the canvas at its present size. */
+  draw(position: Vec3, direction: Vec3): void {
+    this.prepare(position, direction);
+    const { gl, modes } = this;
+    const { width, height } = this.canvas;
+    this.view.mode = modes.layers ? TINTED : PICTURE;
+    this.clear(modes.background);
+    this.drawn.calls = this.drawn.triangles = 0;
+    const cut = modes.split ? Math.round(width * modes.splitAt) : width;
+    this.drawSide(this.selection, true, modes.split ? [0, 0, cut, height] : null);
+    if (modes.split) {
+      const drawn = { ...this.drawn };
+      this.drawSide(this.geometry.select(this.frustum), false, [cut, 0, width - cut, height]);
+      Object.assign(this.drawn, drawn);
+    }
+    if (modes.cells) {
+      this.cellLines ??= new CellLines(gl, this.placement.index);
+      gl.viewport(0, 0, width, height);
+      gl.disable(gl.SCISSOR_TEST);
+      this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
+    }
+  }
+
+  /** Draws impostor ids (+ 1) as colours, everything else black, and returns the pixels (RGBA, bottom row first). */
+  drawIds(position: Vec3, direction: Vec3): Uint8Array {
+    this.prepare(position, direction);
+    const { gl } = this;
+    const { width, height } = this.canvas;
+    this.view.mode = IDS;
+    this.clear([0, 0, 0]);
+    this.drawSide(this.selection, true, null);
+    const out = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
+    return out;
+  }
+
+  private prepare(position: Vec3, direction: Vec3): void {
+    const { manifest } = this.placement;
+    const { fov_deg, width, height } = manifest.camera;
+    const { view, frustum, local } = this;
+    cameraFrame(position, direction, view.frame);
+    setFrustum(frustum, view.frame, fov_deg, width / height);
+    for (let a = 0; a < 3; a++) local[a] = position[a] - manifest.origin_m[a];
+    frustum.eye = local;
+    view.tanX = frustum.tanX;
+    view.tanY = frustum.tanY;
+    view.near = NEAR_M;
+    view.far = farthest(position, manifest.bounds);
+    setViewProjection(view);
+    this.selection = this.selector.select(frustum);
+  }
+
+  private clear(color: readonly number[]): void {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.colorMask(true, true, true, true);
+    gl.depthMask(true);
+    gl.clearColor(color[0], color[1], color[2], 1);
+    gl.clearDepth(1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+  }
+
+  private drawSide(selection: Selection, withImpostors: boolean, scissor: [number, number, number, number] | null): void {
+    const { gl, view, level } = this;
+    const { width, height } = this.canvas;
+    if (withImpostors) {
+      gl.viewport(0, 0, width, height);
+      if (scissor) {
+        gl.enable(gl.SCISSOR_TEST);
+        gl.scissor(...scissor);
+      } else {
+        gl.disable(gl.SCISSOR_TEST);
+      }
+      // Impostors first: blended geometry must come over them.
+      this.layers.draw(view, this.pages, this.placement.manifest.origin_m, this.drawn);
+    }
+    const { renderer } = level;
+    renderer.resetState();
+    renderer.setViewport(0, 0, width, height);
+    renderer.setScissorTest(scissor !== null);
+    if (scissor) renderer.setScissor(...scissor);
+    if (level.ready) level.draw(view, selection.objects, selection.nObjects, this.drawn);
+  }
+
+  private buffersOf(chunk: PlacementChunk): ChunkBuffers {
+    let buffers = this.buffers.get(chunk);
+    if (!buffers) {
+      const { origin_m, chunks } = this.placement.manifest;
+      const [low, high] = chunks[chunk.number].box;
+      const anchor = [0, 1, 2].map((a) => (low[a] + high[a]) / 2 - origin_m[a]) as Vec3;
+      buffers = new ChunkBuffers(this.gl, chunk, anchor, this.layers.indexBuffer);
+      this.buffers.set(chunk, buffers);
+    }
+    // Chunks that the streamer has dropped take their buffers with them.
+    for (const [other, old] of this.buffers) {
+      if (other !== chunk && this.placement.residentChunk(other.number) !== other) {
+        old.dispose();
+        this.buffers.delete(other);
+      }
+    }
+    return buffers;
+  }
+}

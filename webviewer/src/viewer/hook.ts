@@ -1,0 +1,102 @@
+/**
+ * `window.farfield`: the viewer for scripts. Positions and directions are scene metres; counts and pictures are at the
+ * placement's full resolution, whatever the size of the window. Described in webviewer/README.md.
+ */
+import { sha256 } from "../placementdb/sha256";
+import { insideBoxes } from "../select/clamp";
+import type { App } from "./app";
+import type { Modes } from "./engine";
+
+export interface Stats {
+  calls: number; // draw calls really made: geometry primitives, and one for all impostor layers
+  triangles: number;
+  cost: number; // of what was drawn, by the manifest's cost model, per_frame included
+  budget: number;
+  unit: string;
+  geometryCost: number; // of the same view without impostors
+  costBound: number; // that the placement states for this cell and interval
+  objects: number; // drawn as geometry
+  geometryObjects: number; // that geometry alone would draw
+  impostors: number; // drawn
+  impostorsWaiting: number; // of the view's impostors, still drawn as geometry
+  coveredPixels: number; // share of the picture that shows an impostor
+  cell: number;
+  interval: number;
+  problemView: number | null;
+  hopeless: boolean;
+  inside: boolean; // within the view space
+  position: number[];
+  direction: number[];
+  overForStreaming: number;
+  residentPages: number;
+}
+
+export interface Hook {
+  ready: () => Promise<void>;
+  setView: (position: number[], direction: number[]) => Promise<void>;
+  setMode: (modes: Partial<Modes & { free: boolean; overlay: boolean }>) => Promise<void>;
+  stats: () => Promise<Stats>;
+  capture: () => Promise<string>;
+  coverage: () => Promise<string>;
+  pageDigests: (page: number) => Promise<string[]>;
+}
+
+/** `started` resolves with the running viewer, or rejects with what went wrong. */
+export function makeHook(started: Promise<App>): Hook {
+  const settled = async (): Promise<App> => {
+    const app = await started;
+    await app.settle();
+    return app;
+  };
+  return {
+    ready: async () => void (await settled()),
+    setView: async (position, direction) => {
+      const app = await started;
+      app.walker.look(position, direction);
+      app.touch();
+      await app.settle();
+    },
+    setMode: async (modes) => {
+      (await started).setMode(modes);
+      await settled();
+    },
+    stats: async () => read(await settled()),
+    capture: async () => {
+      const app = await settled();
+      return app.atFullSize(() => {
+        app.engine.draw(app.walker.position, app.walker.direction);
+        return (app.engine.gl.canvas as HTMLCanvasElement).toDataURL("image/png");
+      });
+    },
+    coverage: async () => {
+      const app = await settled();
+      return app.atFullSize(() => {
+        app.engine.drawIds(app.walker.position, app.walker.direction);
+        return (app.engine.gl.canvas as HTMLCanvasElement).toDataURL("image/png");
+      });
+    },
+    pageDigests: async (page) => Promise.all((await settled()).engine.pages.read(page).map((level) => sha256(level))),
+  };
+}
+
+function read(app: App): Stats {
+  return app.atFullSize(() => {
+    const { engine, walker } = app;
+    const { position, direction } = walker;
+    const ids = engine.drawIds(position, direction);
+    let covered = 0;
+    for (let i = 0; i < ids.length; i += 4) if (ids[i] | ids[i + 1] | ids[i + 2]) covered++;
+    engine.draw(position, direction);
+    const { selection: s, situation, drawn } = engine;
+    const { budget, view_space } = app.placement.manifest;
+    return {
+      calls: drawn.calls, triangles: drawn.triangles, cost: s.cost, budget: budget.amount, unit: budget.unit,
+      geometryCost: s.geometryCost, costBound: situation.costBound, objects: s.nObjects, geometryObjects: s.geometryObjects,
+      impostors: engine.modes.impostors ? situation.shown.length : 0,
+      impostorsWaiting: situation.impostors - situation.shown.length, coveredPixels: (4 * covered) / ids.length,
+      cell: situation.cell, interval: situation.interval, problemView: situation.problemView, hopeless: situation.hopeless,
+      inside: insideBoxes(view_space, position), position: [...position], direction: [...direction],
+      overForStreaming: app.counts.overForStreaming, residentPages: engine.pages.residentPages,
+    };
+  });
+}

@@ -1,0 +1,92 @@
+/** Opens /viewer/{id}: placement, then geometry, then the frame loop; says what went wrong and what to do. */
+import "../style/tokens.css";
+import "../style/base.css";
+import "../style/viewer.css";
+import { makeContext, NoWebGl2 } from "../gl/context";
+import { ColumnsAltered, PlacementFileError, PlacementFileMissing } from "../placementdb/errors";
+import { Placement } from "../placementdb/placement";
+import { sha256 } from "../placementdb/sha256";
+import { AccessDenied, fetchFile, fetchFrom, makeTraffic, type Traffic } from "../stream/files";
+import { byId, setShown, setText } from "../ui/dom";
+import { bytes } from "../ui/format";
+import { applyTheme } from "../ui/theme";
+import { App } from "./app";
+import { Engine } from "./engine";
+import { makeHook, type Hook } from "./hook";
+import { notice } from "./overlay";
+
+declare global {
+  interface Window {
+    farfield: Hook;
+  }
+}
+
+applyTheme();
+const started = start();
+window.farfield = makeHook(started);
+started.catch(explain);
+
+async function start(): Promise<App> {
+  const canvas = byId<HTMLCanvasElement>("picture");
+  const gl = makeContext(canvas);
+  canvas.addEventListener("webglcontextlost", (e) => {
+    e.preventDefault();
+    notice("bad", "The graphics driver has reset", "What was in video memory is lost. Load the page again.");
+  });
+  const id = location.pathname.split("/").filter(Boolean).at(-1) ?? "";
+  const base = `/v1/placements/${encodeURIComponent(decodeURIComponent(id))}/`;
+  const traffic = makeTraffic();
+  progress("Loading placement", "manifest and index", 0);
+  const placement = await Placement.open(fetchFrom(base, traffic));
+  const engine = new Engine(canvas, gl, placement);
+  const app = new App(engine, placement, traffic, canvas);
+  await loadGeometry(base, traffic, placement, engine);
+  setShown("loading", false);
+  app.touch();
+  credit(engine.level.notice || placement.manifest.scene?.notice || placement.manifest.notice || "", id);
+  return app;
+}
+
+async function loadGeometry(base: string, traffic: Traffic, placement: Placement, engine: Engine): Promise<void> {
+  const name = "scene.glb";
+  const glb = await fetchFile(base + name, traffic, undefined, (got, total) =>
+    progress("Loading geometry", `${bytes(got)} of ${bytes(total)}`, got / total),
+  );
+  if (!glb) throw new PlacementFileMissing(name);
+  const stated = placement.manifest.scene?.sha256;
+  if (stated && (await sha256(glb)) !== stated) throw new ColumnsAltered(name, "its SHA-256 is not the one in the manifest");
+  progress("Preparing geometry", `${placement.manifest.counts.objects} objects`, 1);
+  await new Promise((resolve) => setTimeout(resolve));
+  await engine.level.load(glb.buffer as ArrayBuffer, placement.manifest.counts.objects);
+}
+
+function progress(title: string, text: string, share: number): void {
+  setShown("loading", true);
+  setText("loading-title", title);
+  setText("loading-text", text);
+  (byId("loading-bar").firstElementChild as HTMLElement).style.width = `${100 * share}%`;
+}
+
+/** The data notice of the level, and the way to the report. */
+function credit(text: string, id: string): void {
+  const line = byId("attribution");
+  const link = document.createElement("a");
+  link.href = `/viewer/${encodeURIComponent(id)}/report`;
+  link.textContent = "Report";
+  line.replaceChildren(text ? `${text} · ` : "", link);
+}
+
+function explain(error: unknown): void {
+  setShown("loading", false);
+  if (error instanceof NoWebGl2) {
+    notice("bad", "No WebGL 2", `${error.message} Another browser, or its setting for hardware acceleration, may help.`);
+  } else if (error instanceof AccessDenied) {
+    notice("bad", "Not signed in", error.message);
+  } else if (error instanceof PlacementFileError) {
+    const missing = error instanceof PlacementFileMissing && error.where === "manifest.json";
+    notice("bad", missing ? "No placement here" : "Placement damaged", `${error.message} ${error.advice}`);
+  } else {
+    notice("bad", "The viewer cannot start", error instanceof Error ? error.message : String(error));
+  }
+  for (const element of document.querySelectorAll<HTMLElement>(".overlay, .h-bar")) element.hidden = true;
+}

@@ -1,0 +1,177 @@
+/** Writes the overlay: numbers ten times a second, plots from the frame clock, states. */
+import type { PlacementIndex } from "../placementdb/index_file";
+import type { Manifest } from "../placementdb/manifest";
+import { intervalName } from "../select/intervals";
+import type { Traffic } from "../stream/files";
+import type { Streamer } from "../stream/streamer";
+import { byId, setShown, setText } from "../ui/dom";
+import { bytes, cost, count, short } from "../ui/format";
+import type { Engine } from "./engine";
+import { FRAMES_KEPT, type FrameClock } from "./frame_clock";
+import { DIRECTIONS, type Panorama } from "./panorama";
+
+const LEFT = 24;
+const RIGHT = 250;
+
+export interface Counts {
+  overForStreaming: number; // frames over budget because impostors were not here yet
+  over: number; // frames over budget for any reason
+}
+
+export class Overlay {
+  private readonly engine: Engine;
+  private readonly clock: FrameClock;
+  private readonly manifest: Manifest;
+  private rateBytes = 0;
+  private rateAt = 0;
+  private rate = 0;
+
+  constructor(engine: Engine, clock: FrameClock) {
+    this.engine = engine;
+    this.clock = clock;
+    this.manifest = engine.placement.manifest;
+    const { budget, interval_edges, verdict } = this.manifest;
+    const degrees = 90 / (interval_edges.length - 1);
+    setText("interval-label", `Interval, ${degrees}°`);
+    setText("ms-of", budget.unit === "ns" ? ` of ${(budget.amount / 1e6).toFixed(1)}` : "");
+    setText("verdict", `placement is ${verdict}; ${count(this.manifest.counts.impostors)} impostors, ${bytes(this.manifest.bytes)}`);
+  }
+
+  write(counts: Counts, streamer: Streamer, traffic: Traffic): void {
+    const { engine, clock, manifest } = this;
+    const { selection, situation: s, pages } = engine;
+    const { budget } = manifest;
+    setText("ms", clock.median().toFixed(1));
+    byId("ms").title = clock.source;
+    const named = cost(selection.cost, budget.unit);
+    setText("cost", budget.unit === "ns" ? `predicted ${named}` : `${count(selection.cost)} of ${cost(budget.amount, budget.unit)}`);
+    byId("cost").classList.toggle("over", selection.cost > budget.amount);
+    setText("late", `${count(counts.over)} over of ${count(clock.frames)}`);
+    setText("calls", count(engine.drawn.calls));
+    setText("triangles", short(engine.drawn.triangles));
+    setText("resident", ((pages.residentPages * pages.bytesPerPage) / 1e6).toFixed(1));
+    setText("resident-of", `of ${((pages.slots * pages.bytesPerPage) / 1e6).toFixed(0)} MB`);
+    setText("cell", s.cell < 0 ? "outside" : String(s.cell));
+    setText("interval", intervalName(s.interval, manifest.interval_edges.length - 1));
+    setText("impostors", s.shown.length === s.impostors ? String(s.impostors) : `${s.shown.length} of ${s.impostors}`);
+    this.writeStreaming(counts, streamer, traffic);
+    this.plot();
+  }
+
+  private writeStreaming(counts: Counts, streamer: Streamer, traffic: Traffic): void {
+    const { engine, manifest } = this;
+    const now = performance.now();
+    if (now - this.rateAt > 1000) {
+      this.rate = this.rateAt ? ((traffic.bytes - this.rateBytes) * 1000) / (now - this.rateAt) : 0;
+      this.rateBytes = traffic.bytes;
+      this.rateAt = now;
+    }
+    const all = manifest.pages.length;
+    const resident = engine.pages.residentPages;
+    const complete = streamer.complete;
+    const lost = traffic.failures >= 2;
+    setText("stream-state", lost ? "connection lost" : complete ? (resident >= all ? "all resident" : "complete here") : "streaming");
+    byId("stream-icon").setAttribute("href", lost ? "#warn" : complete ? "#done" : "#run");
+    setText("in-flight", complete ? "" : `${streamer.inFlight} in flight`);
+    const share = all ? resident / Math.min(all, engine.pages.slots) : 1;
+    (byId("stream-bar").firstElementChild as HTMLElement).style.width = `${100 * share}%`;
+    byId("stream-bar").setAttribute("aria-valuenow", String(Math.round(100 * share)));
+    setText("this-cell", engine.situation.waiting ? "this view is on its way" : "this view complete");
+    setText("rate", this.rate > 0 && !complete ? `${bytes(this.rate)}/s` : "");
+    setText("stream-late", `${count(counts.overForStreaming)} frames over budget while loading`);
+    if (lost) {
+      const seconds = Math.max(0, Math.ceil((traffic.retryAtMs - now) / 1000));
+      notice("inf", "Connection lost", `What is here stays usable. Trying again in ${seconds} s.`);
+    } else if (streamer.denied) {
+      notice("bad", "Access ended", streamer.denied.message);
+    } else if (streamer.damaged.size) {
+      const [first] = streamer.damaged.values();
+      const more = streamer.damaged.size > 1 ? ` ${streamer.damaged.size - 1} more files likewise.` : "";
+      notice("bad", "Placement damaged", `${first}${more} What it holds is drawn as geometry. Fetch or place the level again.`);
+    } else {
+      setShown("notice", false);
+    }
+  }
+
+  private plot(): void {
+    const { clock, manifest } = this;
+    const { budget } = manifest;
+    const time = budget.unit === "ns";
+    const scale = time ? 1e6 : 1;
+    const limit = budget.amount / scale;
+    const n = Math.min(clock.frames, FRAMES_KEPT);
+    let top = limit * 1.2;
+    const at = (k: number): number => (clock.frames - n + k) % FRAMES_KEPT;
+    for (let k = 0; k < n; k++) top = Math.max(top, time ? clock.ms[at(k)] : Math.max(clock.cost[at(k)], clock.geometryCost[at(k)]));
+    top = Math.min(top, limit * 4);
+    const x = (k: number): number => LEFT + ((RIGHT - LEFT) * (k + FRAMES_KEPT - n)) / (FRAMES_KEPT - 1);
+    const y = (v: number): number => 82 - 76 * Math.min(1, v / top);
+    const path = (value: (i: number) => number): string => {
+      let d = "";
+      for (let k = 0; k < n; k++) d += `${k ? "L" : "M"}${x(k).toFixed(1)} ${y(value(at(k))).toFixed(1)}`;
+      return d;
+    };
+    byId("plot-line").setAttribute("d", path((i) => (time ? clock.ms[i] : clock.cost[i])));
+    byId("plot-predicted").setAttribute("d", path((i) => (time ? clock.cost[i] / 1e6 : clock.geometryCost[i])));
+    byId("plot-budget").setAttribute("d", `M${LEFT} ${y(limit)}H${RIGHT}`);
+    byId("plot-over").setAttribute("height", String(Math.max(0, y(limit) - 6)));
+    let late = "";
+    for (let k = 0; k < n; k++) if (clock.late[at(k)]) late += `M${x(k).toFixed(1)} 6v7`;
+    byId("plot-late").setAttribute("d", late);
+    setText("plot-top", short(top));
+    byId("plot-label").setAttribute("y", String(y(limit) + 4));
+    setText("plot-label", time ? limit.toFixed(0) : short(limit));
+  }
+
+  writePanorama(panorama: Panorama, yaw: number): void {
+    const { budget } = this.manifest;
+    let top = budget.amount;
+    for (let k = 0; k < DIRECTIONS; k++) top = Math.max(top, panorama.cost[k], panorama.geometryCost[k]);
+    const x = (k: number): number => LEFT + ((RIGHT - LEFT) * k) / DIRECTIONS;
+    const y = (v: number): number => 66 - (60 * v) / (1.05 * top);
+    const path = (values: Float64Array): string => {
+      let d = "";
+      for (let k = 0; k <= DIRECTIONS; k++) d += `${k ? "L" : "M"}${x(k).toFixed(1)} ${y(values[k % DIRECTIONS]).toFixed(1)}`;
+      return d;
+    };
+    byId("around-cost").setAttribute("d", path(panorama.cost));
+    byId("around-geometry").setAttribute("d", path(panorama.geometryCost));
+    byId("around-budget").setAttribute("d", `M${LEFT} ${y(budget.amount)}H${RIGHT}`);
+    setText("around-top", budget.unit === "ns" ? (top / 1e6).toFixed(0) : short(top));
+    const group = byId<SVGGElement>("around-problem");
+    const marks = Array.from(panorama.problem, (p, k) => (p ? `M${(x(k) - 1.77).toFixed(1)} 6h3.53v60h-3.53z` : "")).join("");
+    if (!group.firstChild) group.append(document.createElementNS("http://www.w3.org/2000/svg", "path"));
+    (group.firstChild as SVGPathElement).setAttribute("class", "fillO");
+    (group.firstChild as SVGPathElement).setAttribute("d", marks);
+    this.writeHeading(yaw);
+  }
+
+  writeHeading(yaw: number): void {
+    const turn = (((-yaw / (2 * Math.PI)) % 1) + 1) % 1;
+    const x = LEFT + (RIGHT - LEFT) * turn;
+    byId("around-marker").setAttribute("d", `M${x - 4} 2h8l-4 6zM${x - 0.4} 6h.8v60h-.8z`);
+  }
+
+  writePicked(id: number, index: PlacementIndex, distanceM: number, triangles: number): void {
+    const { budget } = this.manifest;
+    const cluster = index.impostorCluster[id];
+    const [a, b] = [index.clusterStart[cluster], index.clusterStop[cluster]];
+    let saved = -index.impostorCost[id];
+    for (let o = a; o < b; o++) saved += index.objectCost[o];
+    setText("picked-id", `#${count(id)}`);
+    setText("picked-far", `${distanceM.toFixed(0)} m away`);
+    setText("picked-replaces", `${count(b - a)} objects, ${count(triangles)} triangles`);
+    setText("picked-layers", `${index.impostorLayers[id]}, ${bytes(index.impostorBytes[id])}`);
+    setText("picked-valid", index.impostorKind[id] === 0 ? "a shaft" : "a box of cells");
+    setText("picked-saves", `about ${cost(Math.max(0, saved), budget.unit)}`);
+    setShown("picked", true);
+  }
+}
+
+/** The note above the toolbar; kind as in the stylesheet ("inf" warns, "bad" fails). */
+export function notice(kind: "inf" | "bad", title: string, text: string): void {
+  byId("notice-box").className = `note ${kind}`;
+  setText("notice-title", title);
+  setText("notice-text", text);
+  setShown("notice", true);
+}
