@@ -3,9 +3,11 @@
 import dataclasses
 import itertools
 
+import farfield.bake.bake
 import numpy as np
 import pytest
 from farfield.bake.bake import bake_batch, find_recorder, merge, plan_batches
+from farfield.bake.gl.context import NoContext
 from farfield.candidates.model import BOX, SHAFT
 from farfield.columns import pack_dataclass
 from farfield.errors import ImpostorError
@@ -299,6 +301,13 @@ def test_geometry_behind_the_eye_is_refused(houses):
         bake(houses, [0], CELL)
 
 
-def test_auto_takes_no_software_opengl():
-    assert find_recorder("numba")[1] == "numba"
-    assert not any(word in find_recorder("auto")[1] for word in ("llvmpipe", "softpipe"))
+def test_auto_takes_opengl_and_falls_back_to_numba(gl, monkeypatch):
+    assert "OpenGL" in find_recorder("auto")[1]
+
+    def none(process):
+        raise NoContext("no driver")
+
+    monkeypatch.setattr(farfield.bake.bake, "_gl_recorder", none)
+    assert find_recorder("auto")[1] == "numba"
+    with pytest.raises(NoContext):
+        find_recorder("egl")
