@@ -6,15 +6,15 @@ import itertools
 import farfield.bake.bake
 import numpy as np
 import pytest
-from farfield.bake.bake import bake_batch, find_recorder, merge, plan_batches
+from farfield.bake.bake import bake_batch, find_recorder, layer_pixels, merge, plan_batches
 from farfield.bake.gl.context import NoContext
 from farfield.candidates.model import BOX, SHAFT
-from farfield.columns import pack_dataclass
+from farfield.columns import pack_dataclass, unpack_dataclass
 from farfield.errors import ImpostorError
 from farfield.hierarchy.build import build_hierarchy
 from farfield.impostor.plan import plan_layers
-from farfield.rendertime.cost import build_cost_model
-from farfield.scene.model import BLEND, MASK, OPAQUE
+from farfield.rendertime.cost import build_cost_model, impostor_cost
+from farfield.scene.model import BLEND, MASK, OPAQUE, Scene
 from farfield.settings import from_mapping
 from naive import bake as naive
 from panels import Panel, box_cell, chosen, panel_scene
@@ -139,7 +139,7 @@ def test_both_layers_at_a_border_share_its_texels(baked):
 
 @pytest.mark.parametrize("kind", [BOX, SHAFT])
 def test_measured_never_exceeds_the_estimate(houses, kind):
-    hierarchy = build_hierarchy(houses)
+    hierarchy, model = build_hierarchy(houses), build_cost_model(houses, settings=SETTINGS)
     if kind == BOX:
         clusters = distant_clusters(houses)
         cells = np.stack([CELL] * len(clusters))
@@ -155,7 +155,12 @@ def test_measured_never_exceeds_the_estimate(houses, kind):
     for i, c in enumerate(clusters):
         plan = plan_layers(kind, np.asarray(cells[i], float), hierarchy.box[c], settings=SETTINGS)
         assert result.bytes[i] <= plan.bytes
-        assert result.layer_row[i + 1] - result.layer_row[i] <= len(plan.plane)
+        own = slice(*result.layer_row[i : i + 2])
+        layers = np.searchsorted(plan.plane, result.plane[own])
+        np.testing.assert_array_equal(plan.plane[layers], result.plane[own])
+        assert (result.tile_size[result.tile[own]] <= plan.crop[layers]).all()
+        pixels = sum(layer_pixels(model, plan, k, tuple(plan.crop[k])) for k in range(len(plan.plane)))
+        assert result.cost[i] <= impostor_cost(model, triangles=6 * len(plan.plane), pixels=pixels)
     assert (result.cost > 0).all()
 
 
@@ -193,6 +198,13 @@ def test_opengl_and_numba_bake_the_same_bytes(houses, gl):
     numba, egl = (bake(houses, clusters, CELL, renderer=r) for r in ("numba", "egl"))
     assert "OpenGL" in egl.renderer
     assert pack_dataclass(dataclasses.replace(egl, renderer="numba")) == pack_dataclass(numba)
+
+
+def test_artifacts_that_are_mapped_from_files_bake_alike(houses):
+    """Their arrays are read-only."""
+    clusters = distant_clusters(houses)[:3]
+    mapped = unpack_dataclass(Scene, pack_dataclass(houses))
+    assert pack_dataclass(bake(mapped, clusters, CELL)) == pack_dataclass(bake(houses, clusters, CELL))
 
 
 def test_nothing_merges_to_nothing():
