@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from farfield.scene.derive import sample_ground
 from farfield.scene.files import Folder
 from farfield.scene.level import build_level
@@ -90,8 +89,10 @@ def street_boxes(scene: RawScene, *, columns: tuple[int, int] = COLUMNS) -> list
     return [[[round(v, 2) for v in corner] for corner in box] for box in boxes.tolist()]
 
 
-def write_city(path: Path, scene: RawScene, materials: list[str], keep: Callable[[np.ndarray], bool] | None = None) -> int:
-    """Write the city, or the meshes whose box (2,3) `keep` accepts, as GLB; return how many nodes it has."""
+def write_city(
+    path: Path, scene: RawScene, materials: list[str], keep: Callable[[str, np.ndarray], bool] = lambda name, box: True
+) -> int:
+    """Write the city as GLB, or those meshes whose name and box (2,3) `keep` accepts; return how many nodes it has."""
     order = list(MATERIALS)
     body = bytearray()
     views: list[dict[str, Any]] = []
@@ -110,7 +111,7 @@ def write_city(path: Path, scene: RawScene, materials: list[str], keep: Callable
     for node, material in zip(scene.nodes, materials, strict=True):
         primitive = scene.meshes[node.mesh][0]
         low, high = primitive.position.min(0), primitive.position.max(0)
-        if keep is not None and not keep(np.stack([low, high])):
+        if not keep(node.name, np.stack([low, high])):
             continue
         corners = primitive.index.reshape(-1)
         small = len(primitive.position) < 65536

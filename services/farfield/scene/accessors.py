@@ -103,7 +103,9 @@ class Accessors:
         length = Json.count(view.get("byteLength"), f"{where}: byteLength of its bufferView")
         stride = Json.count(view.get("byteStride", 0), f"{where}: byteStride of its bufferView")
         if start + length > len(buffer):
-            raise SceneIndexOutOfRange(f"{where}: its bufferView ends {start + length - len(buffer)} bytes past its buffer.")
+            raise SceneIndexOutOfRange(
+                f"{where}: its bufferView ends {start + length - len(buffer)} bytes past its buffer."
+            )
         return buffer[start : start + length], stride
 
     def _elements_of(self, source: dict[str, Any], dtype: np.dtype, width: int, count: int, where: str) -> np.ndarray:

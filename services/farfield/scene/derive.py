@@ -1,8 +1,8 @@
 """Derive what the settings leave out: where a camera may be, how large its cells are, and a budget worth trying.
 
-Cell     A 48th of the root of the focus's ground area (a 16th of the cube root of its volume without ground), rounded to
-         a power of two metres: some 2,000 cells. 16 or 32 m for a city, 0.25 m for a flat. Objects that reach four times
-         farther than all others together (a sky dome, a far plain) are not part of the focus.
+Cell     A 48th of the root of the focus's ground area (a 16th of the cube root of its volume without ground), rounded
+         to a power of two metres: some 2,000 cells. 16 or 32 m for a city, 0.25 m for a flat. Objects that reach four
+         times farther than all others together (a sky dome, a far plain) are not part of the focus.
 Space    A band at eye height that follows the ground where there is some: in each column of the grid, from the lowest
          ground + 1.5 m to the highest + 1.8 m. Ground is the lowest surface that faces up (down, in files turned inside
          out) and is nearly level, over at least half of the focus. Else the focus as a whole.
@@ -72,7 +72,7 @@ def suggest(level: Level, *, settings: Settings) -> Suggestion:
     budgets, budgets_why = _budgets(level, boxes, settings)
     return Suggestion(
         boxes=boxes, boxes_why=boxes_why, cell_m=cell_m, cell_why=cell_why, interval_deg=given.interval_deg,
-        interval_why="the smallest direction interval of the published method; half of it gives tighter views for more work",
+        interval_why="the smallest interval of the published method; half of it gives tighter views for more work",
         budgets=budgets, budgets_why=budgets_why,
     )  # fmt: skip
 
@@ -176,8 +176,10 @@ def merged_columns(columns: np.ndarray) -> tuple[Box, ...]:
         joined: list[np.ndarray] = []
         for row in rows:
             last = joined[-1] if joined else None
-            if last is not None and last[1, axis] == row[0, axis] and all(
-                (last[:, a] == row[:, a]).all() for a in (1, other)
+            if (
+                last is not None
+                and last[1, axis] == row[0, axis]
+                and all((last[:, a] == row[:, a]).all() for a in (1, other))
             ):
                 last[1, axis] = row[1, axis]
             else:
@@ -199,7 +201,10 @@ def _eye(low: np.ndarray, high: np.ndarray) -> tuple[tuple[float, float], str]:
     if size[1] >= _HUMAN_HEIGHT_M and min(size[0], size[2]) >= _HUMAN_SIDE_M:
         return (EYE_LOW_M, EYE_HIGH_M), ""
     scale = float(size[1]) / 10 / EYE_HIGH_M
-    return (EYE_LOW_M * scale, EYE_HIGH_M * scale), "; the level is too small for a person, so this is a tenth of its height"
+    return (
+        EYE_LOW_M * scale,
+        EYE_HIGH_M * scale,
+    ), "; the level is too small for a person, so this is a tenth of its height"
 
 
 def _budgets(level: Level, boxes: tuple[Box, ...], settings: Settings) -> tuple[tuple[str, ...], str]:

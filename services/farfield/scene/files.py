@@ -30,7 +30,7 @@ class SceneFiles(Protocol):
 
 
 def relative_name(uri: str, *, base: str = "") -> str:
-    """Return the normal form, `a/b.png`, of a relative reference seen from the folder `base`. Raises SceneUriRefused."""
+    """Return the normal form, `a/b.png`, of a reference seen from the folder `base`. Raises SceneUriRefused."""
     name = urllib.parse.unquote(uri).replace("\\", "/")
     if "\0" in name or not name.strip():
         raise SceneUriRefused(f"The scene refers to {uri[:200]!r}, which is no file name.")
@@ -44,7 +44,7 @@ def relative_name(uri: str, *, base: str = "") -> str:
 
 def data_uri(uri: str, *, limits: Limits) -> bytes | None:
     """Return the bytes of a `data:` address, None for any other. Raises SceneUnreadable where it is broken."""
-    if not uri[:5].lower() == "data:":
+    if uri[:5].lower() != "data:":
         return None
     need(len(uri), limits.bytes, "characters in a data: address")
     head, comma, body = uri[5:].partition(",")
@@ -89,7 +89,7 @@ _RANKS = {".glb": 0, ".gltf": 0, ".obj": 1, ".ply": 2, ".stl": 3}
 
 
 class Zip:
-    """A zip with one scene in it. `name` is the scene's entry; the folder of that entry is not its border, the zip is."""
+    """A zip with one scene in it. `name` is the scene's entry; names may reach anything in the zip, nothing outside."""
 
     def __init__(self, path: Path, limits: Limits) -> None:
         need(path.stat().st_size, limits.bytes, "bytes")
@@ -106,7 +106,9 @@ class Zip:
         self.name = self._scene_name()
 
     def _scene_name(self) -> str:
-        names = [n for n in self._entries if not n.startswith("__MACOSX/") and not posixpath.basename(n).startswith(".")]
+        names = [
+            n for n in self._entries if not n.startswith("__MACOSX/") and not posixpath.basename(n).startswith(".")
+        ]
         ranks = {n: _RANKS[s] for n in names if (s := posixpath.splitext(n)[1].lower()) in _RANKS}
         if not ranks:
             raise SceneUnreadable("The zip holds no glTF, GLB, OBJ, PLY or STL file.")

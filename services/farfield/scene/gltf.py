@@ -114,7 +114,11 @@ class _Reader:
         asset = Json.table(self.document.get("asset"), "asset")
         for key in ("version", "minVersion"):
             version = asset.get(key, "2.0")
-            if not isinstance(version, str) or not version.startswith("2.") or (key == "minVersion" and version != "2.0"):
+            if (
+                not isinstance(version, str)
+                or not version.startswith("2.")
+                or (key == "minVersion" and version != "2.0")
+            ):
                 raise SceneUnreadable(f"asset.{key} is {version!r:.40}; glTF 2.0 is read.")
         for name in self._rows("extensionsRequired"):
             if name not in READ_EXTENSIONS | IGNORED_EXTENSIONS:
@@ -222,7 +226,9 @@ class _Reader:
             position=position, index=index, material=material, normal=attribute("NORMAL", (3,)), uv=uv, color=color
         )
 
-    def _triangles(self, row: dict[str, Any], attributes: dict[str, Any], mode: int, where: str) -> tuple[int, np.ndarray]:
+    def _triangles(
+        self, row: dict[str, Any], attributes: dict[str, Any], mode: int, where: str
+    ) -> tuple[int, np.ndarray]:
         """Return the number of positions and (T,3) int64 corners."""
         n = len(self.accessors.raw(attributes["POSITION"], f"{where}.POSITION")[0])
         if row.get("indices") is None:

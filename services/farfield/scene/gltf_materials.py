@@ -98,7 +98,9 @@ class Materials:
             return -1, NONE
         sampler: dict[str, Any] = {}
         if row.get("sampler") is not None:
-            sampler = Json.pick(Json.rows(self._document.get("samplers"), "samplers"), row["sampler"], f"{where}: sampler")
+            sampler = Json.pick(
+                Json.rows(self._document.get("samplers"), "samplers"), row["sampler"], f"{where}: sampler"
+            )
         wrap_s, wrap_t = (
             w if (w := sampler.get(k, REPEAT)) in (REPEAT, MIRROR, CLAMP) else REPEAT for k in ("wrapS", "wrapT")
         )

@@ -1,10 +1,10 @@
-"""RawScene -> Level: metres, y up, float32 vertices, one pack of columns; nothing degenerate, every vertex with a normal.
+"""RawScene -> Level: metres, y up, float32, one pack of columns; nothing degenerate, every vertex with a normal.
 
-Flat normals, as glTF asks, where a file has none: vertices are split where faces of different planes meet. A face normal
-is rounded to 2**-14 first, so that the triangles of one plane share their vertices (error below 4e-5 rad).
+Flat normals, as glTF asks, where a file has none: vertices are split where faces of different planes meet. A face
+normal is rounded to 2**-14 first, so that the triangles of one plane share their vertices (error below 4e-5 rad).
 A mesh that lies far from its own origin (a national grid) is moved there and its matrix moved back in float64: exactly
-for float32 files (subtracting a float32 within a factor of two is exact, Sterbenz), by one common offset for text files,
-so that neighbours stay without gaps.
+for float32 files (subtracting a float32 within a factor of two is exact, Sterbenz), by one common offset for text
+files, so that neighbours stay without gaps.
 """
 
 import math
@@ -95,15 +95,19 @@ def _offsets(raw: RawScene, used: list[int], matrices: list[np.ndarray]) -> dict
         extent, middle = float((high - low).max()), low * 0.5 + high * 0.5
         step = 2.0 ** math.floor(math.log2(extent)) if extent > 0 else 1.0
         offset = np.where(np.abs(middle) > 4 * extent, np.rint(middle / step) * step, 0.0)
-        return {m: offset for m in bounds} if offset.any() else {}
+        return dict.fromkeys(bounds, offset) if offset.any() else {}
     # World extent of the scene, from the middles and half sides of the meshes' boxes.
-    middles, halves = [], []
-    for m, matrix in zip(used, matrices):
-        low, high = bounds[m]
-        middles.append((matrix[:3, :3] * (low * 0.5 + high * 0.5)).sum(1) + matrix[:3, 3])
-        halves.append((np.abs(matrix[:3, :3]) * (high * 0.5 - low * 0.5)).sum(1))
-    low, high = np.min(np.subtract(middles, halves), 0), np.max(np.add(middles, halves), 0)
-    extent = float((high - low).max())
+    lows, highs = [], []
+    with np.errstate(over="ignore", invalid="ignore"):
+        for m, matrix in zip(used, matrices):
+            low, high = bounds[m]
+            middle = (matrix[:3, :3] * (low * 0.5 + high * 0.5)).sum(1) + matrix[:3, 3]
+            half = (np.abs(matrix[:3, :3]) * (high * 0.5 - low * 0.5)).sum(1)
+            lows.append(middle - half)
+            highs.append(middle + half)
+        extent = float((np.max(highs, 0) - np.min(lows, 0)).max())
+    if not math.isfinite(extent):
+        raise SceneNotFinite("The scene has positions that are not finite.")
     found = {}
     for m, matrix in zip(used, matrices):
         middle = np.float32(bounds[m][0] * 0.5 + bounds[m][1] * 0.5).astype(np.float64)
@@ -162,12 +166,10 @@ def _unit(normal: np.ndarray | None, n: int) -> np.ndarray:
     wide = normal.astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt(wide[:, 0] * wide[:, 0] + wide[:, 1] * wide[:, 1] + wide[:, 2] * wide[:, 2])
-    usable = np.isfinite(length) & (length > 1e-12)
-    wide[~usable] = 0.0
-    length[~usable] = 1.0
+    useless = np.logical_not(np.isfinite(length) & (length > 1e-12))
     # What is unit up to float32 stays as it is: reading back what was written changes nothing.
-    length[np.abs(length - 1.0) < 1e-6] = 1.0
-    return (wide / length[:, None]).astype(np.float32)
+    length = np.where(useless | (np.abs(length - 1.0) < 1e-6), 1.0, length)
+    return np.where(useless[:, None], 0.0, wide / length[:, None]).astype(np.float32)
 
 
 def _cleaned(array: np.ndarray, default: float, what: str, warnings: list[str]) -> np.ndarray:
@@ -188,7 +190,7 @@ def _drop_degenerate_and_split_normals(level: Level, mesh: np.ndarray, matrices:
         raise SceneEmpty("The scene has no triangles with an area.")
     index = level.index[keep]
     primitive = np.repeat(np.arange(len(level.primitive_material)), np.diff(level.primitive_triangle))[keep]
-    missing = ~level.normal.any(1)
+    missing = np.logical_not((level.normal != 0).any(1))
     corner, flat = index.reshape(-1), np.zeros((1, 3), dtype=np.float32)
     side = np.zeros(len(corner), dtype=np.int64)
     if missing[corner].any():
@@ -231,7 +233,12 @@ def measure(level: Level) -> None:
     ends = level.mesh_vertices()
     level.object_box = np.empty((len(level.object_mesh), 2, 3))
     kernels.object_boxes(
-        level.position, ends[:-1], ends[1:], level.object_mesh, np.ascontiguousarray(level.object_matrix), level.object_box
+        level.position,
+        ends[:-1],
+        ends[1:],
+        level.object_mesh,
+        np.ascontiguousarray(level.object_matrix),
+        level.object_box,
     )
     if not np.isfinite(level.object_box).all():
         bad = int(np.flatnonzero(~np.isfinite(level.object_box).all((1, 2)))[0])

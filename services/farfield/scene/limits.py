@@ -19,6 +19,7 @@ class Limits:
     node_depth: int = 256
     triangles: int = 50_000_000  # stored ones: an instance adds none
     vertices: int = 150_000_000
+    reach_m: float = 1e9  # the farthest coordinate from the origin, metres
     image_pixels: int = 8192 * 8192  # of one texture
     texture_pixels: int = 2**30  # of all textures
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from farfield.scene.model import OPAQUE
 
@@ -59,7 +60,7 @@ class RawScene:
     default_double_sided: bool = False  # of primitives without a material
 
 
-def linear_from_srgb(value: np.ndarray) -> np.ndarray:
+def linear_from_srgb(value: npt.ArrayLike) -> np.ndarray:
     """Return linear light of sRGB-encoded values in [0, 1] (IEC 61966-2-1), float64."""
     v = np.clip(np.asarray(value, dtype=np.float64), 0.0, 1.0)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)

@@ -1,10 +1,10 @@
 """Read a level: which format it is, then file -> RawScene -> Level -> Scene.
 
-    read      by content, not by name: an artifact in a store has no name (`gltf.py`, `obj.py`, `soup.py`, `files.py`)
-    level     metres, y up, float32, nothing degenerate, normals everywhere (`level.py`)
-    suggest   what the settings leave out (`derive.py`)
-    split     what is larger than two cells (`split.py`)
-    order     ids: depth-first order on the fixed grid (`order.py`)
+read      by content, not by name: an artifact in a store has no name (`gltf.py`, `obj.py`, `soup.py`, `files.py`)
+level     metres, y up, float32, nothing degenerate, normals everywhere (`level.py`)
+suggest   what the settings leave out (`derive.py`)
+split     what is larger than two cells (`split.py`)
+order     ids: depth-first order on the fixed grid (`order.py`)
 """
 
 import re
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.errors import SceneFileMissing, SceneUnreadable
+from farfield.errors import SceneFileMissing, SceneOverLimit, SceneUnreadable
 from farfield.scene.derive import Suggestion, grid_origin, object_counts, suggest
 from farfield.scene.files import Folder, SceneFiles, Zip
 from farfield.scene.gltf import read_gltf
@@ -52,6 +52,9 @@ def inspect_scene(
     unit_m = settings.scene.unit_m if settings.scene.unit_m is not None else 1.0
     level = build_level(raw, unit_m=unit_m, up=settings.scene.up or "y")
     del raw
+    reach_m = float(np.abs(level.object_box).max())
+    if reach_m > limits.reach_m:
+        raise SceneOverLimit(f"The scene reaches {reach_m:.3g} m from its origin; the limit is {limits.reach_m:.3g} m.")
     suggestion = suggest(level, settings=settings)
     split_level(level, cell_m=suggestion.cell_m)
     return _finish(level, suggestion), suggestion

@@ -1,7 +1,7 @@
 """PLY and STL -> RawScene: one object each.
 
-STL goes through trimesh. PLY has its own reader: trimesh reads polygons of mixed size in binary files as noise, and does
-not return from a header that breaks off. A PLY's colours are sRGB; a texture it names is left out with a warning.
+STL goes through trimesh. PLY has its own reader: trimesh reads polygons of mixed size in binary files as noise, and
+does not return from a header that breaks off. A PLY's colours are sRGB; a texture it names is left out with a warning.
 """
 
 import io
@@ -183,18 +183,19 @@ def _table(data: bytes, at: int, element: _Element, order: str) -> tuple[dict, i
 def _rows(data: bytes, at: int, element: _Element, order: str) -> tuple[dict, int]:
     values: list[list] = [[] for _ in element.properties]
     sizes: list[list[int]] = [[] for _ in element.properties]
-    types = [(np.dtype(order + kind), length and np.dtype(order + length)) for _, kind, length in element.properties]
+    types = [np.dtype(order + kind) for _, kind, _ in element.properties]
+    counts = [None if length is None else np.dtype(order + length) for _, _, length in element.properties]
     for _ in range(element.count):
-        for k, (kind, length) in enumerate(types):
+        for k, (dtype, count) in enumerate(zip(types, counts)):
             n = 1
-            if length is not None:
-                n = int(np.frombuffer(data, length, 1, at)[0])
-                at += length.itemsize
-            if n < 0 or at + n * kind.itemsize > len(data):
+            if count is not None:
+                n = int(np.frombuffer(data, count, 1, at)[0])
+                at += count.itemsize
+            if n < 0 or at + n * dtype.itemsize > len(data):
                 raise ValueError(f"it ends within the element {element.name}")
-            values[k].append(np.frombuffer(data, kind, n, at))
+            values[k].append(np.frombuffer(data, dtype, n, at))
             sizes[k].append(n)
-            at += n * kind.itemsize
+            at += n * dtype.itemsize
     columns: dict = {}
     for k, (name, _, length) in enumerate(element.properties):
         flat = np.concatenate(values[k])

@@ -2,9 +2,9 @@
 
 Problem  An object stands for one draw call and one box. One that spans many cells is near every camera, and no impostor
          of it is ever valid. Cut it, but not into crumbs: a draw call costs as much as some 2,000 triangles.
-Method   By material first, which adds no draw call. Then in an octree of cell_m times a power of two, on the fixed grid:
-         a connected component no larger than a cell goes as a whole, of larger ones each triangle for itself, to the
-         child that holds its middle. What is larger than a child stays in the inner node as an object of its own.
+Method   By material first, which adds no draw call. Then in an octree of cell_m times a power of two, on the fixed
+         grid: a connected component no larger than a cell goes as a whole, of larger ones each triangle for itself, to
+         the child that holds its middle. What is larger than a child stays in the inner node as an object of its own.
          Neighbouring children with fewer than 2,048 triangles are joined. Pieces keep the frame and the matrix of the
          whole, so that their float32 vertices meet exactly.
 Cutting what was cut changes nothing.
@@ -61,8 +61,8 @@ def split_level(level: Level, *, cell_m: float) -> None:
             names.append(f"{level.object_name[o]} [{k + 1}]")
         size = (level.object_box[o, 1] - level.object_box[o, 0]).max()
         level.warnings.append(
-            f"{level.object_name[o]!r:.80} is {size:.4g} m large, more than two cells of {cell_m:.4g} m; it was split into "
-            f"{len(found)} objects."
+            f"{level.object_name[o]!r:.80} is {size:.4g} m large, more than two cells of {cell_m:.4g} m; "
+            f"it was split into {len(found)} objects."
         )
     repack(level, np.concatenate(parts), np.concatenate([[0], np.cumsum([len(p) for p in parts])]))
     level.primitive_material = np.array(materials, dtype=np.int32)
@@ -110,7 +110,7 @@ def _octree_pieces(position: np.ndarray, index: np.ndarray, cell_m: float) -> li
     pieces: list[np.ndarray] = []
 
     def cut(members: np.ndarray) -> None:
-        """Cut the triangles of a node, or of several small ones that were joined, at the finest node that holds them."""
+        """Cut the triangles of a node at the finest node that holds them."""
         spread = int(np.bitwise_or.reduce(cell[members] ^ cell[members[0]], axis=0).max())
         negative = (cell[members] < 0).any(0) & (cell[members] >= 0).any(0)
         levels = 63 if negative.any() else spread.bit_length()  # the node is 2**levels cells wide

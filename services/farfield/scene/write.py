@@ -6,6 +6,7 @@ where the material has a texture; textures embedded as they are. The same scene 
 """
 
 import json
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,7 @@ def _meshes(scene: Scene, buffer: _Buffer) -> list[dict[str, Any]]:
         indices = buffer.add_accessor(index_view[short[p]], index_at[p], kind, "SCALAR", corners)
         primitives.append({"attributes": attributes, "indices": indices, "material": materials[p]})
     ends = scene.mesh_primitive.tolist()
-    return [{"primitives": primitives[a:b]} for a, b in zip(ends[:-1], ends[1:])]
+    return [{"primitives": primitives[a:b]} for a, b in pairwise(ends)]
 
 
 def _materials(scene: Scene) -> list[dict[str, Any]]:
