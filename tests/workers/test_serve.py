@@ -106,7 +106,7 @@ def test_submit_tells_its_outcome_by_its_exit_code(served, tmp_path):
 def test_a_killed_launcher_takes_its_processes_along_and_the_next_one_goes_on(tmp_path):
     first = Served(tmp_path / "data")
     scene = tmp_path / "toy.glb"
-    scene.write_text(json.dumps({"seconds": 0.5}))
+    scene.write_text(json.dumps({"seconds": 0.25}))
     job = json.loads(_submit(first, scene).stdout)["id"]
     end = time.monotonic() + 20
     while first.client.get(f"/v1/jobs/{job}").json()["state"] == "queued" and time.monotonic() < end:

@@ -30,6 +30,7 @@ import sqlalchemy as sa
 from farfield.errors import FarfieldError, ServiceError
 from farfield.executor import THREADS
 from farfield.store import progress, tenants
+from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
 
 from farfield_workers.broker import broker_command, wait_for_broker
@@ -98,6 +99,7 @@ def serve(options: Options) -> int:
             key, made = first_key(engine, options.data / "api-key")
             progress.release_worker(engine, None)  # we hold the lock: whoever held a lease is dead
             progress.forget_sent(engine)
+            LocalArtifacts(options.data / "artifacts").clear_temporary()
             command, broker = broker_command(runtime)
             environment = {
                 **{k: os.environ.get(k, v) for k, v in THREADS.items()},

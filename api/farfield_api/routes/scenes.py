@@ -78,8 +78,9 @@ def _accept(service: State, tenant_id: str, received: upload.Received, suffix: s
     whole = json.dumps(found, sort_keys=True).encode()
     inspect_digest = service.artifacts.put(whole)
     service.artifacts.put_file(received.path, received.digest)
-    listed = found.get("objects")
-    summary = {**found, "objects": len(listed) if isinstance(listed, list) else listed}
+    # The row holds counts; the lists are an artifact, asked for apart.
+    counts = {key: len(found[key]) for key in ("objects", "materials", "textures") if isinstance(found.get(key), list)}
+    summary = {**found, **counts}
     name = received.name or f"scene{suffix}"
     scenes.add(
         service.engine, tenant_id, digest=received.digest, name=name, suffix=suffix, n_bytes=received.n_bytes,

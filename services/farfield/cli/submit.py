@@ -175,7 +175,7 @@ def _send_scene(client: httpx.Client, path: Path, console: Console) -> str:
         "content-length": str(size),
     }
     columns = (TextColumn("{task.description:12}"), BarColumn(), DownloadColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as bars:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
         bar = bars.add_task("upload", total=size)
 
         def content() -> Iterator[bytes]:
@@ -196,7 +196,7 @@ def _watch(client: httpx.Client, job_id: str, console: Console) -> None:
         TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )  # fmt: skip
-    with Progress(*columns, console=console) as bars:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
         tasks = {str(s): bars.add_task(s, total=None, start=False, note="") for s in Stage}
         for kind, data in _events(client, job_id):
             task = tasks.get(data.get("stage", ""))
@@ -206,6 +206,9 @@ def _watch(client: httpx.Client, job_id: str, console: Console) -> None:
                 elif data["state"] in ("running", "merging") and "shards" in data:
                     bars.update(task, total=max(data["shards"], 1))
                 elif data["state"] in ("done", "skipped", "failed"):
+                    if not console.is_terminal:  # bars would only show at the end of a build's log
+                        reason = f": {data['skipped']}" if data.get("skipped") else ""
+                        console.out(f"{data['stage']} {data['state']}{reason}", highlight=False)
                     bars.update(task, total=1, completed=1)
                     bars.stop_task(task)
                 if data.get("skipped"):

@@ -1,13 +1,15 @@
 """Blobs under their SHA-256, in a folder.
 
 A blob is written to a temporary name, synced and renamed: whoever sees its name sees all of it, after any crash. Equal
-blobs are one file. The interface is what an object store can do: put, put_file, has, n_bytes, buffer, path, remove.
+blobs are one file. The interface is what an object store can do: put, put_file, has, n_bytes, buffer, remove; `path` is
+for who needs a file by name.
 """
 
 import hashlib
 import mmap
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,6 +75,11 @@ class LocalArtifacts:
 
     def remove(self, digest: str) -> None:
         self.path(digest).unlink(missing_ok=True)
+
+    def clear_temporary(self) -> None:
+        """Remove what a killed process left half-written. Only for who knows that nobody writes."""
+        shutil.rmtree(self.temporary)
+        self.temporary.mkdir()
 
     def digests(self) -> Iterator[str]:
         """Yield the name of every blob, in order."""

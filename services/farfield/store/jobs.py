@@ -12,6 +12,7 @@ from farfield.stages import Queue
 from farfield.store import events
 from farfield.store.engine import new_id, now, read, write
 from farfield.store.progress import Message, drop_shards
+from farfield.store.shards import lock_job
 from farfield.store.tables import SHARD_STATES, artifact, event, job, scene, shard, stage
 
 ENDED = ("done", "failed", "cancelled")
@@ -131,6 +132,7 @@ def page(
 def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
     """Cancel the job if it has not ended, and return its state. Raises JobNotFound."""
     with write(engine) as tx:
+        lock_job(tx, job_id)
         row = _row(tx, tenant_id, job_id)
         updated = tx.execute(
             sa.update(job).where(job.c.id == job_id, job.c.state.in_(("queued", "running")))
@@ -150,6 +152,7 @@ def delete(engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool) -> 
     blob. Raises JobNotFound, JobStillRunning.
     """
     with write(engine) as tx:
+        lock_job(tx, job_id)
         row = _row(tx, tenant_id, job_id)
         if row.state not in ENDED:
             raise JobStillRunning(job_id, row.state)

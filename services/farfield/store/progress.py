@@ -16,7 +16,7 @@ from farfield.stages import Queue
 from farfield.store import events
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import new_id, now, write
-from farfield.store.shards import MAX_ATTEMPTS
+from farfield.store.shards import MAX_ATTEMPTS, lock_job
 from farfield.store.tables import job, shard, stage
 
 RESEND_S = 60.0  # sooner, a backlog would triple its messages
@@ -124,6 +124,7 @@ def _step(
     tx: sa.Connection, artifacts: LocalArtifacts, job_id: str, kinds: Mapping[str, StageKind]
 ) -> tuple[bool, list[Message]]:
     """Make one transition. Returns (whether the job moved, messages)."""
+    lock_job(tx, job_id)
     state = tx.scalar(sa.select(job.c.state).where(job.c.id == job_id))
     if state not in ("queued", "running"):
         return False, []

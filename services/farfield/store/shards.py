@@ -2,6 +2,7 @@
 
 Claim    One UPDATE takes a shard that is ready, or whose lease ran out, and raises its attempt: of any number of
          messages for it, one wins. The attempt is the fence: who holds an older one can renew and commit nothing.
+Locks    The job's row first, then the shard's: everybody takes them in this order, or PostgreSQL would see deadlocks.
 Fence    A shard on the optimizer queue also takes the job's one optimizer lease, with a token that grows.
 """
 
@@ -44,6 +45,7 @@ class Claim:
 def claim(engine: sa.Engine, shard_id: str, *, worker: str, lease_s: float = LEASE_S) -> Claim | None:
     """Take the shard, or return None where there is nothing (more) to do."""
     with write(engine) as tx:
+        lock_job(tx, tx.scalar(sa.select(shard.c.job_id).where(shard.c.id == shard_id)))
         row = tx.execute(
             sa.update(shard)
             .where(shard.c.id == shard_id, _claimable(), shard.c.attempt < MAX_ATTEMPTS)
@@ -94,6 +96,7 @@ def claim(engine: sa.Engine, shard_id: str, *, worker: str, lease_s: float = LEA
 def renew(engine: sa.Engine, held: Claim, *, lease_s: float = LEASE_S) -> bool:
     """Prolong the lease. False: the shard is no longer ours (cancelled, or taken over), stop working on it."""
     with write(engine) as tx:
+        lock_job(tx, held.job_id)
         alive = sa.select(job.c.id).where(job.c.id == held.job_id, job.c.state == "running")
         updated = tx.execute(
             sa.update(shard).where(_ours(held), alive.exists()).values(lease_until=now() + lease_s)
@@ -122,8 +125,9 @@ def commit(
 ) -> bool:  # fmt: skip
     """Write the shard's result if the attempt is still ours (and the fence still the newest); say whether it was."""
     with write(engine) as tx:
+        lock_job(tx, held.job_id)
         if held.fence is not None:
-            token = tx.scalar(sa.select(job.c.optimizer_token).where(job.c.id == held.job_id).with_for_update())
+            token = tx.scalar(sa.select(job.c.optimizer_token).where(job.c.id == held.job_id))
             if token != held.fence:
                 return False
             _release_optimizer(tx, held)
@@ -146,6 +150,7 @@ def fail(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str, 
     """Record that the attempt failed; return "ready" (run it again), "failed" (for good) or "lost" (not ours)."""
     state = "ready" if again and held.attempt < MAX_ATTEMPTS else "failed"
     with write(engine) as tx:
+        lock_job(tx, held.job_id)
         updated = tx.execute(
             sa.update(shard).where(_ours(held))
             .values(state=state, lease_until=None, sent_at=None, error=dict(error), log=log[-20_000:])
@@ -157,6 +162,11 @@ def fail(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str, 
         fact = {"stage": held.stage, "kind": held.kind, "ordinal": held.ordinal, "state": state}
         events.append(tx, held.job_id, "shard", {**fact, "attempt": held.attempt, "error": dict(error)})
         return state
+
+
+def lock_job(tx: sa.Connection, job_id: str | None) -> None:
+    """Hold the job's row until the transaction ends. SQLite has one writer at a time and needs no lock."""
+    tx.execute(sa.select(job.c.id).where(job.c.id == job_id).with_for_update())
 
 
 def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
