@@ -106,6 +106,15 @@ def test_a_session_needs_its_token_to_change_anything(service):
     assert service.client.get("/v1/jobs").status_code == 401
 
 
+def test_another_site_cannot_start_a_session(service):
+    # A form of another site can only send simple content types, whatever the body looks like.
+    for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x"):
+        body = '{"key": "' + service.key + '"}'
+        answer = service.client.post("/v1/session", content=body, headers={"content-type": kind})
+        assert answer.status_code == 422
+        assert "set-cookie" not in answer.headers
+
+
 def test_a_forged_session_is_refused(service):
     service.client.headers.pop("authorization")
     service.client.post("/v1/session", json={"key": service.key})
