@@ -85,13 +85,13 @@ def serve(options: Options) -> int:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    runtime = Path(tempfile.mkdtemp(prefix="farfield-"))  # a unix socket's path is at most 107 bytes long
     children: list[Child] = []
     with (options.data / "lock").open("w") as lock, _listen(options.host, options.port) as listening:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ServiceError(f"another farfield serves {options.data} already") from None
+        runtime = _runtime(options.data)
         try:
             database = f"sqlite:///{(options.data / 'farfield.sqlite').resolve()}"
             engine = open_engine(database)
@@ -137,7 +137,7 @@ def serve(options: Options) -> int:
             # The broker goes last: workers that end their shard still talk to it.
             stop_children(children[1:], seconds=STOP_S)
             stop_children(children[:1], seconds=2.0)
-            shutil.rmtree(runtime, ignore_errors=True)
+            shutil.rmtree(runtime, ignore_errors=True)  # the next start clears what a kill leaves here
     return 0
 
 
@@ -245,6 +245,16 @@ def _loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def _runtime(data: Path) -> Path:
+    """Return a new folder for the broker's socket, whose path may be at most 107 bytes long."""
+    folder = data / "run"
+    if len(os.fsencode(folder)) > 90:
+        return Path(tempfile.mkdtemp(prefix="farfield-"))
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(mode=0o700)
+    return folder
 
 
 def _secret(path: Path) -> str:
