@@ -134,10 +134,13 @@ class Ground:
 def sample_ground(level: Level, *, low: np.ndarray, high: np.ndarray, cell_m: float) -> Ground:
     """Return the lowest surface that faces up over the columns of the grid that overlap [low, high].
 
-    A column is cell_m wide, or a power of two times that where more than 512 would stand in a row.
+    A column is cell_m wide, or a power of two times that, so that 4 to 512 stand in the longer row.
     """
-    while float((high - low).max()) > _COLUMNS * cell_m:
+    longest = float((high - low)[[0, 2]].max())
+    while longest > _COLUMNS * cell_m:
         cell_m *= 2
+    while 0 < longest < 4 * cell_m:
+        cell_m /= 2
     first = np.floor(low[[0, 2]] / cell_m)
     last = np.maximum(np.ceil(high[[0, 2]] / cell_m), first + 1)
     step = cell_m / _SAMPLES

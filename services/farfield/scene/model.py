@@ -32,7 +32,7 @@ class Scene:
     mesh_primitive: np.ndarray  # (M+1,) i64  mesh m has primitives [m, m+1)
     # objects
     object_mesh: np.ndarray  # (N,) i32
-    object_matrix: np.ndarray  # (N,3,4) f64  mesh-local -> relative to origin_m
+    object_matrix: np.ndarray  # (N,3,4) f64  mesh-local -> relative to origin_m; det < 0 mirrors, as in glTF
     object_box: np.ndarray  # (N,2,3) f64  exact box of the transformed float32 vertices, computed in float64
     object_triangles: np.ndarray  # (N,) i64
     object_calls: np.ndarray  # (N,) i64  primitives
