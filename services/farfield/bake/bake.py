@@ -6,8 +6,8 @@ Method   plan_layers -> gather -> cut -> lay_out -> record -> shade -> crop, one
          Bytes and cost are then measured on what was stored, and never exceed the estimate that chose the impostor.
 Renderer "egl" needs a context, "numba" does not; "auto" is egl where a context can be had, else numba. Which it was is
          recorded. On processors alone (llvmpipe, one thread) recording takes 3.5 to 7 times as long as with numba, but
-         the whole bake only 1.2 (large texel grids) to 1.9 times (60 clusters of a city: 1.0 against 0.5 s), since
-         shading is the larger part; so egl stays the default there, too.
+         the whole bake 1.2 (large texel grids) to 2.6 times (60 clusters of a city: 1.5 against 0.6 s): far from any
+         limit, so egl stays the default there, too.
 """
 
 import hashlib

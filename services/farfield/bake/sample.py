@@ -128,17 +128,29 @@ def texture_at(surface: Any, x: int, u: float, v: float, spans: float, out: Any)
 
 
 @njit(cache=True)
-def color_at(sources: Any, surface: Any, s: int, cx: float, cy: float, detail: float, out: Any, uv: Any) -> float:
+def tint(colors: Any, base_color: Any, vertices: Any, weight: Any, material: int, out: Any) -> None:
+    """Fill out (up to 4,) with vertex colour times material colour."""
+    for c in range(len(out)):
+        mixed = 0.0
+        for e in range(3):
+            mixed += weight[e] * colors[vertices[e], c]
+        out[c] = mixed * base_color[material, c]
+
+
+@njit(cache=True)
+def color_at(
+    sources: Any, surface: Any, s: int, cx: float, cy: float, detail: float, out: Any, uv: Any, shown: Any
+) -> float:
     """Fill out (10,): linear RGBA, weights in the image (3), on the surface (3); return 1 / z.
 
-    cx, cy  1/256 texels; detail  size of the sample, in texels of the impostor; uv  (3,2) scratch
+    cx, cy  1/256 texels; detail  size of the sample, in texels of the impostor; uv, shown  (3,2), (4,) scratch
     """
     image, weight = out[4:7], out[7:10]
     image_weights(sources.snapped[s], cx, cy, image)
     one_over_z = surface_weights(sources.inverse[s], image, weight)
     k = sources.material[s]
     x = surface.texture[k]
-    out[0], out[1], out[2], out[3] = 1.0, 1.0, 1.0, 1.0
+    tint(surface.color, surface.base_color, sources.vertex[s], weight, k, out[0:4])
     if x >= 0:
         u, v = 0.0, 0.0
         for c in range(3):
@@ -148,12 +160,9 @@ def color_at(sources: Any, surface: Any, s: int, cx: float, cy: float, detail: f
         first = surface.level_row[x]
         w, h = surface.level_size[first, 0], surface.level_size[first, 1]
         spans = detail * footprint(sources.snapped[s], sources.inverse[s], one_over_z, uv, u, v, w, h)
-        texture_at(surface, x, u, v, spans, out[0:4])
-    for c in range(4):
-        tint = 0.0
-        for e in range(3):
-            tint += weight[e] * surface.color[sources.vertex[s, e], c]
-        out[c] *= tint * surface.base_color[k, c]
+        texture_at(surface, x, u, v, spans, shown)
+        for c in range(4):
+            out[c] *= shown[c]
     return one_over_z
 
 
@@ -164,5 +173,5 @@ def alpha_at(sources: Any, surface: Any, s: int, i: int, j: int) -> bool:
     Where alpha varies within the texel this may leave out a texel of which a part is opaque, as a GPU does.
     """
     out = np.empty(10)
-    color_at(sources, surface, s, 256.0 * i + 128, 256.0 * j + 128, 1.0, out, np.empty((3, 2)))
+    color_at(sources, surface, s, 256.0 * i + 128, 256.0 * j + 128, 1.0, out, np.empty((3, 2)), np.empty(4))
     return out[3] >= surface.cutoff[sources.material[s]]

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from farfield.bake.records import Pieces, Slabs, Sources, Surface
-from farfield.bake.sample import color_at
+from farfield.bake.sample import color_at, image_weights, surface_weights, tint
 
 # Linear RGB; the direction points to the sun, y up.
 LIGHTING: dict[str, tuple[float, float, float]] = {
@@ -46,47 +46,69 @@ def light(normal: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
+def _encode(thresholds: Any, value: float) -> int:
+    """As `encode_srgb`, for one value: a guess from the square root, then steps (twice as fast as a search)."""
+    byte = int(min(math.sqrt(max(value, 0.0)) * 255, 255.0))
+    while byte < 255 and value >= thresholds[byte]:
+        byte += 1
+    while byte > 0 and value < thresholds[byte - 1]:
+        byte -= 1
+    return byte
+
+
+@njit(cache=True)
 def _shade(sources: Any, pieces: Any, slabs: Any, surface: Any, first_layer: int, last_layer: int, sheet: Any,
            rgba: Any) -> None:  # fmt: skip
-    out, uv, sums = np.empty(10), np.empty((3, 2)), np.empty(3)
+    out, uv, shown, sums = np.empty(10), np.empty((3, 2)), np.empty(4), np.empty(3)
     n, local = np.empty(3), np.empty(3)
     lights = surface.lights
+    # Columns by name: handing whole tuples of arrays to a function costs more than its work (390 -> 100 ns a texel).
+    snapped, inverse, vertex, material, away = (
+        sources.snapped, sources.inverse, sources.vertex, sources.material, sources.away,
+    )  # fmt: skip
+    owner, source, texture, tints, base_color = (
+        sources.object, pieces.source, surface.texture, surface.color, surface.base_color,
+    )  # fmt: skip
+    normal, turns, emissive, double_sided, encode = (
+        surface.normal, surface.turn, surface.emissive, surface.double_sided, surface.encode,
+    )  # fmt: skip
     for k in range(first_layer, last_layer):
         near, far = slabs.inverse_near[k], slabs.inverse_far[k]
         for y in range(slabs.at[k, 1], slabs.at[k, 1] + slabs.size[k, 1]):
             for x in range(slabs.at[k, 0], slabs.at[k, 0] + slabs.size[k, 0]):
                 if sheet[y, x] == 0:
                     continue
-                s = pieces.source[sheet[y, x] - 1]
+                s = source[sheet[y, x] - 1]
                 cx = 256.0 * (x - slabs.at[k, 0] + slabs.low[k, 0]) + 128
                 cy = 256.0 * (y - slabs.at[k, 1] + slabs.low[k, 1]) + 128
-                m = sources.material[s]
-                sums[:] = 0.0
-                if surface.texture[m] >= 0:
+                m = material[s]
+                image_weights(snapped[s], cx, cy, out[4:7])
+                one_over_z = surface_weights(inverse[s], out[4:7], out[7:10])
+                w0, w1, w2 = out[7], out[8], out[9]
+                if texture[m] >= 0:
+                    sums[:] = 0.0
                     for sub in range(4):  # 2 x 2 samples of half a texel each
-                        color_at(
-                            sources, surface, s, cx + (128 * (sub % 2) - 64), cy + (128 * (sub // 2) - 64), 0.5, out, uv
-                        )
+                        sx, sy = cx + (128 * (sub % 2) - 64), cy + (128 * (sub // 2) - 64)
+                        color_at(sources, surface, s, sx, sy, 0.5, out, uv, shown)
                         for c in range(3):
                             sums[c] += out[c] / 4
-                one_over_z = color_at(sources, surface, s, cx, cy, 1.0, out, uv)
-                if surface.texture[m] < 0:
-                    sums[:] = out[0:3]
-                local[:] = 0.0
-                for e in range(3):
-                    for c in range(3):
-                        local[c] += out[7 + e] * surface.normal[sources.vertex[s, e], c]
-                turn = surface.turn[sources.object[s]]
+                else:
+                    tint(tints, base_color, vertex[s], out[7:10], m, sums)
+                v0, v1, v2 = vertex[s, 0], vertex[s, 1], vertex[s, 2]
+                for c in range(3):
+                    local[c] = w0 * normal[v0, c] + w1 * normal[v1, c] + w2 * normal[v2, c]
+                turn = turns[owner[s]]
                 for c in range(3):
                     n[c] = turn[c, 0] * local[0] + turn[c, 1] * local[1] + turn[c, 2] * local[2]
                 length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
                 if length > 0:
-                    n /= -length if sources.away[s] and surface.double_sided[m] else length
+                    length = -length if away[s] and double_sided[m] else length
+                    n[0], n[1], n[2] = n[0] / length, n[1] / length, n[2] / length
                 sunny = max(n[0] * lights[0, 0] + n[1] * lights[0, 1] + n[2] * lights[0, 2], 0.0)
                 for c in range(3):
                     falls = lights[3, c] + (lights[2, c] - lights[3, c]) * ((n[1] + 1) / 2) + lights[1, c] * sunny
-                    value = sums[c] * falls + surface.emissive[m, c]
-                    rgba[y, x, c] = np.searchsorted(surface.encode, value, side="right")
+                    value = sums[c] * falls + emissive[m, c]
+                    rgba[y, x, c] = _encode(encode, value)
                 u = (one_over_z - far) / (near - far) if near > far else 1.0
                 rgba[y, x, 3] = 1 + math.floor(254 * min(max(u, 0.0), 1.0) + 0.5)
 

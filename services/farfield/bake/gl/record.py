@@ -55,7 +55,7 @@ class Recorder:
         ctx.viewport = (0, 0, width, height)
         ctx.enable_only(moderngl.DEPTH_TEST)
         ctx.depth_func = "<"
-        self._target.clear(0, 0, 0, 0, depth=1.0)
+        self._target.clear(0, 0, 0, 0, depth=1.0, viewport=(0, 0, width, height))
         self._program["sheet"].value = (float(width), float(height))
         start, end = int(pieces.row[layers[0]]), int(pieces.row[layers[1]])
         while start < end:
