@@ -13,8 +13,8 @@ from farfield.placement.model import Placement
 from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import Settings
-from farfield.viewspace.model import ProblemViews
 from farfield.visibility.model import VisibleSets
+from problem_views import views_of
 from towns import town
 
 N_INTERVALS = 6 * 8 * 8
@@ -134,10 +134,8 @@ def made_up(
     serve = [served[rng.integers(len(served) if n_views else 1)] for _ in range(n_views)]
     replaced = [int((hierarchy.stop - hierarchy.start)[clusters[s]].sum()) - len(s) for s in serve]
     view_cost = n_objects - np.array(replaced, dtype=np.int64)
-    entries = np.tile(np.arange(n_objects, dtype=np.int32), n_views)
-    views = ProblemViews(
-        cell=cell, interval=interval, cost=np.full(n_views, n_objects, dtype=np.int64),
-        row=np.arange(n_views + 1, dtype=np.int64) * n_objects, object=entries, before=entries.astype(np.int64),
+    views = replace(
+        views_of(cell, interval, [np.arange(n_objects)] * n_views, np.ones((n_views, n_objects), np.int64)),
         cell_cost=np.where(pairs.any(1), n_objects, 0).astype(np.int64), worst_nonproblem=model.target - 1,
     )  # fmt: skip
     baked = layered(scene, hierarchy, clusters, wide)

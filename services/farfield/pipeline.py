@@ -308,10 +308,9 @@ def _evaluation(inputs: Inputs, shard: Shard) -> Parts:
 
 
 def _evaluation_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
-    found = [unpack(a)[2] for a in artifacts]
-    worst = max(found, key=lambda f: f["worst_ratio"]) if found else {}
-    counts = {key: sum(f[key] for f in found) for key in ("views", "over_budget")}
-    return pack_parts("verified", {}, {**worst, **counts})
+    from farfield.evaluation.verify import merge_found
+
+    return pack_parts("verified", {}, merge_found([unpack(a)[2] for a in artifacts]))
 
 
 def write_files(buffer: Any, folder: Path) -> None:

@@ -4,6 +4,7 @@ from fractions import Fraction
 from itertools import combinations
 
 import numpy as np
+from farfield.viewspace.cost import view_objects
 
 
 def inside(hierarchy, a, b):
@@ -12,13 +13,8 @@ def inside(hierarchy, a, b):
 
 
 def geometry_cost(hierarchy, views, cluster, v):
-    entries = range(views.row[v], views.row[v + 1])
-    until = [int(views.before[e]) for e in entries] + [int(views.cost[v])]
-    return sum(
-        until[k + 1] - until[k]
-        for k, e in enumerate(entries)
-        if hierarchy.start[cluster] <= views.object[e] < hierarchy.stop[cluster]
-    )
+    objects = zip(*(a.tolist() for a in view_objects(views, v)))
+    return sum(cost for o, cost in objects if hierarchy.start[cluster] <= o < hierarchy.stop[cluster])
 
 
 def place(hierarchy, views, candidates, target):
@@ -111,9 +107,8 @@ def view_costs(hierarchy, views, cluster, cost, serve_row, serve):
     total = np.zeros(len(views.cell), dtype=np.int64)
     for v in range(len(views.cell)):
         shown = serve[serve_row[v] : serve_row[v + 1]]
-        until = [*(int(b) for b in views.before[views.row[v] : views.row[v + 1]]), int(views.cost[v])]
-        for k, o in enumerate(views.object[views.row[v] : views.row[v + 1]]):
+        for o, geometry in zip(*view_objects(views, v)):
             if not any(hierarchy.start[cluster[s]] <= o < hierarchy.stop[cluster[s]] for s in shown):
-                total[v] += until[k + 1] - until[k]
+                total[v] += geometry
         total[v] += sum(int(cost[s]) for s in shown)
     return total

@@ -36,5 +36,7 @@ def problem_views(boxes, cost, cell_box, *, visible, n, camera, target):
 
 def cluster_cost(views, cost, v, a, b):
     """Cost of objects [a, b) in view v: a sum. cost (N,) of the view's cell."""
-    entries = views.object[views.row[v] : views.row[v + 1]]
-    return int(np.sum([cost[o] for o in entries if a <= o < b], dtype=np.int64))
+    low, high = views.list_row[views.list[v]], views.list_row[views.list[v] + 1]
+    objects = views.list_object[low:high]
+    shown = [int(objects[p]) for first, stop in views.run[views.row[v] : views.row[v + 1]] for p in range(first, stop)]
+    return int(np.sum([cost[o] for o in shown if a <= o < b], dtype=np.int64))

@@ -11,6 +11,7 @@ import numpy as np
 from farfield.errors import StageFailed
 from farfield.hierarchy.model import Hierarchy
 from farfield.stages import Stage
+from farfield.viewspace.cost import view_objects
 from farfield.viewspace.model import ProblemViews
 
 
@@ -25,9 +26,8 @@ def evaluate(
     """
     total = np.zeros(len(views.cell), dtype=np.int64)
     for v in range(len(views.cell)):
-        low, high = int(views.row[v]), int(views.row[v + 1])
-        objects = views.object[low:high]
-        until = np.append(views.before[low:high], views.cost[v])  # cost of the objects before each entry, then of all
+        objects, costs = view_objects(views, v)
+        until = np.concatenate([[0], np.cumsum(costs)])  # cost of the objects before each, then of all
         shown = serve[serve_row[v] : serve_row[v + 1]]
         shown = shown[np.argsort(hierarchy.start[cluster[shown]], kind="stable")]
         start, stop = hierarchy.start[cluster[shown]], hierarchy.stop[cluster[shown]]

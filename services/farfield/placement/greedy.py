@@ -45,6 +45,8 @@ def place(
     progress    called with a share in [0, 1] and counters, at most a few times a second
     """
     _check(hierarchy, views, candidates)
+    if not len(views.cell):
+        return _nothing_to_place(model, views)
     tell = progress or (lambda share, counters: None)
     end = subtree_end(hierarchy.start, hierarchy.stop)
     prospects = find_prospects(hierarchy, model, views, candidates, end=end)
@@ -98,6 +100,16 @@ def _check(hierarchy: Hierarchy, views: ProblemViews, candidates: Candidates) ->
     assert (np.diff(candidates.cluster) >= 0).all(), "candidates must be sorted by cluster"
     assert (candidates.bytes > 0).all() and (candidates.cost >= 0).all()
     assert len(views.row) == len(views.cell) + 1 and len(hierarchy.start) == 2 * int(hierarchy.stop[0]) - 1
+
+
+def _nothing_to_place(model: CostModel, views: ProblemViews) -> Placement:
+    i64, i32, row = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(1, np.int64)
+    return Placement(
+        cluster=i32, kind=np.zeros(0, np.uint8), view_cell=np.zeros((0, 9)), bytes=i64, layers=i32, cost=i64,
+        serve_row=row, serve=i32, view_cost=i64, view_target=i64, view_best=i64, hopeless=np.zeros(0, bool),
+        culprit_row=row, culprit=i32, smallest_budget=model.per_frame + int(views.worst_nonproblem),
+        step_view_cost=i64, step_bytes=i64,
+    )  # fmt: skip
 
 
 def _candidates_refit(model: CostModel, settings: Settings) -> Refit:

@@ -14,6 +14,7 @@ from farfield.candidates.model import Candidates
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import best_in_views, cheapest_offers
 from farfield.rendertime.model import CostModel
+from farfield.viewspace.cost import view_objects
 from farfield.viewspace.model import ProblemViews
 
 CULPRITS = 16
@@ -59,15 +60,9 @@ def find_prospects(
     )  # fmt: skip
 
 
-def object_costs(views: ProblemViews, v: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the objects (K,) i32 that view v may show, ascending, and what each costs there (K,) i64."""
-    low, high = int(views.row[v]), int(views.row[v + 1])
-    return views.object[low:high], np.diff(views.before[low:high], append=views.cost[v])
-
-
 def _culprits(views: ProblemViews, v: int, hierarchy: Hierarchy, replaced: np.ndarray) -> np.ndarray:
     """Return up to CULPRITS objects of view v outside the clusters `replaced`, most expensive first, ties by id."""
-    objects, cost = object_costs(views, v)
+    objects, cost = view_objects(views, v)
     kept = np.ones(len(objects), dtype=bool)
     for c in replaced:
         kept[np.searchsorted(objects, hierarchy.start[c]) : np.searchsorted(objects, hierarchy.stop[c])] = False

@@ -20,6 +20,7 @@ from farfield.placement.assign import fastest
 from farfield.placement.evaluate import evaluate
 from farfield.placement.model import Placement
 from farfield.rendertime.model import CostModel
+from farfield.viewspace.cost import cluster_costs
 from farfield.viewspace.model import ProblemViews
 
 
@@ -76,11 +77,8 @@ def _offers_in_cell(
         if wanted[v]:
             first, last = np.searchsorted(pairs[:, 0], [views.cell[v], views.cell[v] + 1])
             id = pairs[first:last, 1].astype(np.int32)
-            low, high = int(views.row[v]), int(views.row[v + 1])
-            until = np.append(views.before[low:high], views.cost[v])
             start, stop = hierarchy.start[placement.cluster[id]], hierarchy.stop[placement.cluster[id]]
-            at = np.searchsorted(views.object[low:high], np.stack([start, stop]))
-            gain = until[at[1]] - until[at[0]] - cost[id]
+            gain = cluster_costs(views, np.array(v), start, stop) - cost[id]
             ids.append(id[gain > 0])
             saved.append(gain[gain > 0])
         row.append(row[-1] + (len(ids[-1]) if wanted[v] else 0))

@@ -83,17 +83,34 @@ def descend(box, cost, n_first, lists, normals, row, pad, n, target, out_view, o
 
 
 @njit(cache=True)
-def gather(views, entries, cost, row, objects, before):
-    """Copy the entries of `views` (V,4), already in order, to `objects` and `before`, and their ends to row[1:]."""
+def count_runs(views, entries, position):
+    """Return how many runs of consecutive positions the entries of `views` (V,4) make. position (N,) of each object."""
+    total = 0
+    for v in range(len(views)):
+        last = -2
+        for e in range(views[v, 2], views[v, 3]):
+            p = position[entries[e]]
+            total += p != last + 1
+            last = p
+    return total
+
+
+@njit(cache=True)
+def gather(views, entries, position, cost, row, run, before):
+    """Fill row (V+1,), run (R,2) and before (R,) from the entries of `views`, already in order."""
     at = 0
     for v in range(len(views)):
+        last = -2
         running = 0
         for e in range(views[v, 2], views[v, 3]):
-            objects[at] = entries[e]
-            before[at] = running
+            p = position[entries[e]]
+            if p != last + 1:
+                run[at, 0], before[at] = p, running
+                at += 1
+            run[at - 1, 1] = p + 1
             running += cost[entries[e]]
-            at += 1
-        row[v + 1] = row[0] + at
+            last = p
+        row[v + 1] = at
 
 
 @njit(cache=True)
@@ -109,17 +126,64 @@ def first_at_least(objects, start, stop, o):
 
 
 @njit(cache=True)
-def cluster_cost(row, objects, before, cost, v, a, b):
-    """Return the cost of objects [a, b) in view v: two binary searches."""
-    start, stop = row[v], row[v + 1]
-    low = first_at_least(objects, start, stop, a)
-    high = first_at_least(objects, low, stop, b)
+def _cost_below(views, v, begin, p):
+    """Return the cost of view v's objects at positions < p of its cell's list, which begins at `begin`."""
+    low, high = views.row[v], views.row[v + 1]
+    stop = high
+    while low < stop:  # the first run that ends past p
+        middle = (low + stop) // 2
+        if views.run[middle, 1] <= p:
+            low = middle + 1
+        else:
+            stop = middle
     if low == high:
-        return np.int64(0)
-    return (before[high] if high < stop else cost[v]) - before[low]
+        return views.cost[v]
+    first = views.run[low, 0]
+    if p <= first:
+        return views.before[low]
+    skipped = views.list_through[begin + first - 1] if first > 0 else np.int64(0)
+    return views.before[low] + views.list_through[begin + p - 1] - skipped
 
 
 @njit(cache=True)
-def cluster_costs(row, objects, before, cost, v, a, b, out):
+def cluster_cost(views, v, a, b):
+    """Return the cost of objects [a, b) in view v. views: `farfield.viewspace.cost.Runs`."""
+    list_id = views.list[v]
+    begin, end = views.list_row[list_id], views.list_row[list_id + 1]
+    low = first_at_least(views.list_object, begin, end, a)
+    high = first_at_least(views.list_object, low, end, b)
+    if low == high:
+        return np.int64(0)
+    return _cost_below(views, v, begin, high - begin) - _cost_below(views, v, begin, low - begin)
+
+
+@njit(cache=True)
+def cluster_costs(views, v, a, b, out):
     for k in range(len(out)):
-        out[k] = cluster_cost(row, objects, before, cost, v[k], a[k], b[k])
+        out[k] = cluster_cost(views, v[k], a[k], b[k])
+
+
+@njit(cache=True)
+def running_costs(views, v, low, high, out):
+    """Fill out (high - low + 1,): the cost of view v's objects in [low, o) for each o in [low, high]."""
+    list_id = views.list[v]
+    begin, end = views.list_row[list_id], views.list_row[list_id + 1]
+    first = first_at_least(views.list_object, begin, end, low) - begin
+    last = first_at_least(views.list_object, begin + first, end, high) - begin
+    r, stop = views.row[v], views.row[v + 1]
+    while r < stop:  # the first run that ends past `first`
+        middle = (r + stop) // 2
+        if views.run[middle, 1] <= first:
+            r = middle + 1
+        else:
+            stop = middle
+    total = np.int64(0)
+    o = low
+    while r < views.row[v + 1] and views.run[r, 0] < last:
+        for p in range(max(first, views.run[r, 0]), min(last, views.run[r, 1])):
+            object = views.list_object[begin + p]
+            out[o - low : object - low + 1] = total
+            o = object + 1
+            total += views.list_through[begin + p] - (views.list_through[begin + p - 1] if p > 0 else np.int64(0))
+        r += 1
+    out[o - low : high - low + 1] = total

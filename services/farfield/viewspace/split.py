@@ -13,8 +13,10 @@ Tried    Not tried: accepting and rejecting whole clusters. Object by object, 4,
 After    Jeschke et al., Automatic Impostor Placement for Guaranteed Frame Rates, I3D 2005, section 3.
 """
 
-import itertools
+import hashlib
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +29,7 @@ from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import Settings
 from farfield.viewspace import kernels
+from farfield.viewspace.cost import n_incidences
 from farfield.viewspace.model import ProblemViews
 from farfield.visibility.model import VisibleSets
 
@@ -62,7 +65,7 @@ def find_problem_views(
     cells = build_cells(scene.view_boxes, scene.cell_m)
     search = _Search(scene, model, visible, settings)
     cell_cost = np.zeros(cells.n_cells, dtype=np.int64)
-    found: list[ProblemViews] = []
+    found: list[_CellViews] = []
     worst_nonproblem = 0
     fixed = int(model.object_fixed.sum())
     stack = [node]
@@ -80,7 +83,7 @@ def find_problem_views(
             cell = int(cells.start[here])
             views, worst, within = search.cell(cell, cells.box[here])
             cell_cost[cell], worst_nonproblem = worst, max(worst_nonproblem, within)
-            if len(views.cost):
+            if views is not None:
                 found.append(views)
     return _concatenate(found, cell_cost, worst_nonproblem)
 
@@ -88,10 +91,10 @@ def find_problem_views(
 def merge_problem_views(parts: list[ProblemViews]) -> ProblemViews:
     """Return the problem views of all shards, sorted by (cell, interval). `parts` in any order; at least one."""
     assert parts
-    held = sorted((p for p in parts if len(p.cell)), key=lambda p: int(p.cell[0]))
-    assert all(a.cell[-1] < b.cell[0] for a, b in itertools.pairwise(held)), "shards overlap"
+    cells = [cell for part in parts for cell in _split_cells(part)]
+    assert len({c.cell for c in cells}) == len(cells), "shards overlap"
     cell_cost = np.max([p.cell_cost for p in parts], axis=0)
-    return _concatenate(held, cell_cost, max(p.worst_nonproblem for p in parts))
+    return _concatenate(cells, cell_cost, max(p.worst_nonproblem for p in parts))
 
 
 def summary(views: ProblemViews) -> dict[str, int]:
@@ -100,24 +103,11 @@ def summary(views: ProblemViews) -> dict[str, int]:
         "problem_views": len(views.cell),
         "problem_cells": len(np.unique(views.cell)),
         "cells": len(views.cell_cost),
-        "visible_incidences": len(views.object),
-        "most_objects_in_a_view": int(np.diff(views.row).max(initial=0)),
+        "visible_incidences": int(n_incidences(views).sum()),
+        "most_objects_in_a_view": int(n_incidences(views).max(initial=0)),
         "worst_cost": int(views.cell_cost.max(initial=0)),
         "worst_nonproblem": int(views.worst_nonproblem),
     }
-
-
-def _cell_views(cell: int, found: np.ndarray, entries: np.ndarray, cost: np.ndarray) -> ProblemViews:
-    """Return the problem views of one cell in order of their intervals, from what `kernels.descend` wrote."""
-    found = found[np.argsort(found[:, 0], kind="stable")]
-    total = int((found[:, 3] - found[:, 2]).sum())
-    row = np.zeros(len(found) + 1, dtype=np.int64)
-    objects, before = np.empty(total, dtype=np.int32), np.empty(total, dtype=np.int64)
-    kernels.gather(found, entries, cost, row, objects, before)
-    return ProblemViews(
-        cell=np.full(len(found), cell, dtype=np.int32), interval=found[:, 0].astype(np.int32), cost=found[:, 1].copy(),
-        row=row, object=objects, before=before, cell_cost=np.empty(0, dtype=np.int64), worst_nonproblem=0,
-    )  # fmt: skip
 
 
 class _Search:
@@ -133,9 +123,10 @@ class _Search:
         self.lists = np.empty((self.n.bit_length() + 1, n_objects), dtype=np.int32)
         self.views = np.empty((6 * self.n * self.n, 4), dtype=np.int64)
         self.entries = np.empty(16 * n_objects, dtype=np.int32)
+        self.position = np.empty(n_objects, dtype=np.int32)
 
-    def cell(self, cell: int, box: np.ndarray) -> tuple[ProblemViews, int, int]:
-        """Return the cell's problem views, the worst bound where the descent stopped, and the worst within target."""
+    def cell(self, cell: int, box: np.ndarray) -> tuple["_CellViews | None", int, int]:
+        """Return the cell's problem views if any, the worst bound where the descent stopped, the worst within target."""
         cost = object_cost(self.model, self.boxes, box)
         if self.visible.mode == "off":
             first = np.arange(len(cost), dtype=np.int32)
@@ -143,7 +134,7 @@ class _Search:
             first = self.visible.object[self.visible.row[cell] : self.visible.row[cell + 1]]
         whole = int(cost[first].sum())
         if whole <= self.model.target:
-            return _cell_views(cell, self.views[:0], self.entries, cost), whole, whole
+            return None, whole, whole
         kernels.seen_from(self.boxes, box, self.seen)
         while True:
             self.lists[0, : len(first)] = first
@@ -152,20 +143,81 @@ class _Search:
                 self.model.target, self.views, self.entries,
             )  # fmt: skip
             if n_entries <= len(self.entries):
-                return _cell_views(cell, self.views[:n_views], self.entries, cost), worst, within
+                return self._gather(cell, self.views[:n_views], first, cost), worst, within
             self.entries = np.empty(n_entries + n_entries // 4, dtype=np.int32)
 
+    def _gather(self, cell: int, found: np.ndarray, first: np.ndarray, cost: np.ndarray) -> "_CellViews | None":
+        if not len(found):
+            return None
+        found = found[np.argsort(found[:, 0], kind="stable")]
+        self.position[first] = np.arange(len(first), dtype=np.int32)
+        n_runs = kernels.count_runs(found, self.entries, self.position)
+        row = np.zeros(len(found) + 1, dtype=np.int64)
+        run, before = np.empty((n_runs, 2), dtype=np.int32), np.empty(n_runs, dtype=np.int64)
+        kernels.gather(found, self.entries, self.position, cost, row, run, before)
+        return _CellViews(
+            cell=cell, interval=found[:, 0].astype(np.int32), cost=found[:, 1].copy(), row=row, run=run, before=before,
+            objects=np.ascontiguousarray(first, dtype=np.int32), through=np.cumsum(cost[first], dtype=np.int64),
+        )  # fmt: skip
 
-def _concatenate(parts: list[ProblemViews], cell_cost: np.ndarray, worst_nonproblem: int) -> ProblemViews:
-    """Join parts that stand in order of their cells."""
-    entries = np.cumsum([0, *(len(p.object) for p in parts)])
-    rows = [np.zeros(1, dtype=np.int64), *(p.row[1:] + first for p, first in zip(parts, entries))]
 
-    def join(name: str, dtype: type) -> np.ndarray:
-        return np.concatenate([np.empty(0, dtype=dtype), *(getattr(p, name) for p in parts)])
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _CellViews:
+    """The problem views of one cell, as columns of ProblemViews, and the list its runs are positions of."""
 
+    cell: int
+    interval: np.ndarray
+    cost: np.ndarray
+    row: np.ndarray
+    run: np.ndarray
+    before: np.ndarray
+    objects: np.ndarray
+    through: np.ndarray
+
+
+def _split_cells(views: ProblemViews) -> list[_CellViews]:
+    cells, first = np.unique(views.cell, return_index=True)
+    found = []
+    for cell, low, high in zip(cells.tolist(), first.tolist(), [*first.tolist()[1:], len(views.cell)], strict=False):
+        begin, end = views.row[low], views.row[high]
+        start, stop = views.list_row[views.list[low] : views.list[low] + 2]
+        found.append(_CellViews(
+            cell=cell, interval=views.interval[low:high], cost=views.cost[low:high], row=views.row[low : high + 1] - begin,
+            run=views.run[begin:end], before=views.before[begin:end], objects=views.list_object[start:stop],
+            through=views.list_through[start:stop],
+        ))  # fmt: skip
+    return found
+
+
+def _concatenate(parts: list[_CellViews], cell_cost: np.ndarray, worst_nonproblem: int) -> ProblemViews:
+    """Join the views of cells, put in order of the cells; equal lists are stored once."""
+    parts = sorted(parts, key=lambda p: p.cell)
+    ends = np.cumsum([0, *(len(p.run) for p in parts)])
+    of_list: list[int] = []
+    known: dict[bytes, int] = {}
+    lists: list[_CellViews] = []
+    for part in parts:
+        digest = hashlib.sha256(part.objects.tobytes() + part.through.tobytes()).digest()
+        if digest not in known:
+            known[digest] = len(lists)
+            lists.append(part)
+        of_list += [known[digest]] * len(part.cost)
+
+    def join(arrays: Iterable[np.ndarray], empty: np.ndarray) -> np.ndarray:
+        return np.concatenate([empty, *arrays])
+
+    none32, none64 = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int64)
     return ProblemViews(
-        cell=join("cell", np.int32), interval=join("interval", np.int32), cost=join("cost", np.int64),
-        row=np.concatenate(rows), object=join("object", np.int32), before=join("before", np.int64),
-        cell_cost=cell_cost, worst_nonproblem=worst_nonproblem,
-    )  # fmt: skip
+        cell=join((np.full(len(p.cost), p.cell, dtype=np.int32) for p in parts), none32),
+        interval=join((p.interval for p in parts), none32),
+        cost=join((p.cost for p in parts), none64),
+        row=join((p.row[1:] + first for p, first in zip(parts, ends, strict=False)), np.zeros(1, dtype=np.int64)),
+        run=join((p.run for p in parts), np.empty((0, 2), dtype=np.int32)),
+        before=join((p.before for p in parts), none64),
+        list=np.array(of_list, dtype=np.int32),
+        list_row=np.cumsum([0, *(len(p.objects) for p in lists)], dtype=np.int64),
+        list_object=join((p.objects for p in lists), none32),
+        list_through=join((p.through for p in lists), none64),
+        cell_cost=cell_cost,
+        worst_nonproblem=worst_nonproblem,
+    )

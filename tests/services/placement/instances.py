@@ -8,6 +8,7 @@ from farfield.geometry.cells import CellTree, build_cells
 from farfield.hierarchy.model import Hierarchy
 from farfield.rendertime.model import CostModel
 from farfield.viewspace.model import ProblemViews
+from problem_views import views_of
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,8 @@ def flat_model(target, per_frame=0):
 
 def make_views(n_objects, costs, interval_count):
     """ProblemViews from (V, N) object costs, 0 where the object is not seen; cells of interval_count views."""
-    seen = [np.flatnonzero(c) for c in costs]
-    before = [np.concatenate([[0], np.cumsum(c[s])[:-1]])[: len(s)] for c, s in zip(costs, seen)]
     v = np.arange(len(costs))
-    return ProblemViews(
-        cell=(v // interval_count).astype(np.int32), interval=(v % interval_count).astype(np.int32),
-        cost=costs.sum(1).astype(np.int64), row=np.cumsum([0, *map(len, seen)], dtype=np.int64),
-        object=np.concatenate([*seen, []]).astype(np.int32), before=np.concatenate([*before, []]).astype(np.int64),
-        cell_cost=np.zeros(0, np.int64), worst_nonproblem=0,
-    )  # fmt: skip
+    return views_of(v // interval_count, v % interval_count, [np.flatnonzero(c) for c in costs], costs)
 
 
 def make_candidates(hierarchy, costs, cluster, cost, size, serves):

@@ -11,7 +11,8 @@ from farfield.geometry.intervals import find_interval
 from farfield.hierarchy.build import build_hierarchy
 from farfield.rendertime.cost import build_cost_model, object_cost
 from farfield.settings import CameraSettings, Settings, ViewSpaceSettings
-from farfield.viewspace.cost import cluster_cost, cluster_costs
+from farfield.viewspace import kernels
+from farfield.viewspace.cost import cluster_cost, cluster_costs, runs_of, view_objects
 from farfield.viewspace.split import find_problem_views, merge_problem_views, plan_subtrees, summary
 from farfield.visibility.model import VisibleSets
 from naive import rendertime as naive_pixels
@@ -41,7 +42,7 @@ def same(a, b, names):
         np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-VIEWS = ("cell", "interval", "cost", "row", "object", "before")
+VIEWS = ("cell", "interval", "cost", "row", "run", "before", "list", "list_row", "list_object", "list_through")
 
 
 @pytest.mark.parametrize("interval_deg", [90.0, 45.0, 22.5])
@@ -74,10 +75,11 @@ def test_agrees_with_plain_loops(interval_deg, budget):
         assert [(int(c), int(i)) for c, i in zip(views.cell, views.interval)] == [e[:2] for e in expected]
         assert views.cost.tolist() == [e[2] for e in expected]
         for v, (cell, _, _, objects) in enumerate(expected):
-            part = slice(views.row[v], views.row[v + 1])
-            assert views.object[part].tolist() == objects
-            cost = object_cost(model, scene.object_box, cells.cell_box[cell])[objects]
-            np.testing.assert_array_equal(views.before[part], np.cumsum(cost) - cost)
+            shown, costs = view_objects(views, v)
+            assert shown.tolist() == objects
+            np.testing.assert_array_equal(costs, object_cost(model, scene.object_box, cells.cell_box[cell])[objects])
+            runs = views.run[views.row[v] : views.row[v + 1]]
+            assert (runs[:, 0] < runs[:, 1]).all() and (runs[1:, 0] > runs[:-1, 1]).all()
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_no_view_costs_more_than_its_bound(camera, budget, view_m):
         else:
             problems += 1
             assert cost <= views.cost[v]
-            assert np.isin(shown, views.object[views.row[v] : views.row[v + 1]]).all()
+            assert np.isin(shown, view_objects(views, v)[0]).all()
     assert problems > 20
 
 
@@ -162,7 +164,7 @@ def test_subtrees_hold_every_cell_once():
 def test_a_scene_within_budget_has_no_problem_views():
     scene = town(50)
     model, views = found(scene, settings_for("50 calls"))
-    assert len(views.cell) == len(views.object) == 0
+    assert len(views.cell) == len(views.run) == len(views.list_object) == 0
     assert views.row.tolist() == [0]
     assert views.worst_nonproblem == 50
     assert (views.cell_cost == 50).all()
@@ -183,3 +185,14 @@ def test_cluster_costs_are_sums():
     assert cluster_costs(views, v, a, b).tolist() == expected
     assert [cluster_cost(views, int(k), int(i), int(j)) for k, i, j in zip(v, a, b)] == expected
     assert cluster_costs(views, v, 0, 120).tolist() == views.cost[v].tolist()
+
+
+def test_running_costs_are_the_costs_of_clusters():
+    scene = town(120, view_m=40)
+    _, views = found(scene, settings_for("1.4 ms"))
+    runs, out = runs_of(views), np.empty(121, dtype=np.int64)
+    for v in range(0, len(views.cell), 7):
+        for low, high in ((0, 120), (17, 93), (50, 51)):
+            kernels.running_costs(runs, v, low, high, out)
+            ends = np.arange(low, high + 1)
+            assert out[: high - low + 1].tolist() == cluster_costs(views, v, low, ends).tolist()
