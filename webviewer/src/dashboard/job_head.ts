@@ -1,0 +1,105 @@
+/** The head of a job's page: what it is, its verdict or what keeps it open, and the ways out. */
+import { listJobs, readJob } from "../api/client";
+import type { JobDetail } from "../api/types";
+import { cost as costText, count } from "../ui/format";
+import { h, refill } from "./element";
+import { historyOf, type Estimate, type History } from "./estimate";
+import { ago, duration, metres, plural, shortId } from "./format";
+import { jobMark, stateMark, verdictMark } from "./icons";
+import { progressBar, timeLeftText } from "./job_row";
+import type { Report } from "./report_types";
+
+const HISTORIES = 3;
+
+/** Seconds a stage of the last jobs that are done. */
+export async function readHistories(except: string): Promise<History[]> {
+  const { jobs } = await listJobs({ state: "done", limit: HISTORIES + 1 });
+  const found: History[] = [];
+  for (const job of jobs.filter((j) => j.id !== except).slice(0, HISTORIES)) found.push(historyOf((await readJob(job.id)).stages));
+  return found;
+}
+
+export function drawHead(head: HTMLElement, job: JobDetail, report: Report | null, found: Estimate, cancel: () => void): void {
+  if (!head.childElementCount) {
+    head.className = "head";
+    head.append(h("div"), h("div", { class: "acts" }), h("div", { class: "tobe" }, h("div"), h("p"), h("div")));
+  }
+  const [names, acts, banner] = head.children;
+  const active = job.state === "queued" || job.state === "running";
+  const age = ago(Date.parse(job.created_at), Date.now());
+  refill(names, JSON.stringify([job.state, age, job.name]), () => [
+    h("nav", { class: "crumb", "aria-label": "Path" }, h("a", { href: "/jobs" }, "Jobs"), " / ", h("span", { class: "mono" }, `job ${shortId(job.id)}`)),
+    h("h1", null, job.name), facts(job, age)]);
+  refill(acts, job.state, () => [
+    job.links.viewer ? h("a", { class: "btn primary", href: job.links.viewer }, "Open in viewer") : null,
+    job.links.report_page ? h("a", { class: "btn", href: job.links.report_page }, "Report") : null,
+    active ? null : h("a", { class: "btn", href: again(job.id) }, "Run again…"),
+    active ? h("button", { class: "btn stop", type: "button", onclick: cancel }, "Cancel job…") : null]);
+  const { kind, mark, text } = verdictOf(job, report);
+  banner.className = `tobe ${kind}`;
+  refill(banner.children[0], JSON.stringify([job.state, job.verdict]), () => [mark()]);
+  refill(banner.children[1], JSON.stringify([job.state, job.verdict, !!report]), text);
+  refill(banner.children[2], JSON.stringify([job.state, job.started_at, job.finished_at, found]), () => progress(job, found));
+  (banner as HTMLElement).setAttribute("role", "status");
+}
+
+function facts(job: JobDetail, age: string): HTMLElement {
+  const { settings } = job;
+  const fact = (name: string, value: string | null | undefined): HTMLElement | null => (value ? h("span", null, `${name} `, h("b", null, value)) : null);
+  const camera = settings.camera?.width ? `${settings.camera.width} × ${settings.camera.height}, ${settings.camera.fov_deg}°` : null;
+  return h("div", { class: "facts" }, jobMark(job.state), fact("budget", job.budget), fact("pixel error", settings.quality?.pixel_error ? `${settings.quality.pixel_error} px` : null),
+    fact("cells", settings.view_space?.cell_m ? `${metres(settings.view_space.cell_m)} m` : "derived"), fact("camera", camera), fact("device", settings.device), h("span", null, age));
+}
+
+function again(id: string, budget?: string): string {
+  return `/jobs#${new URLSearchParams({ again: id, ...(budget ? { budget } : {}) })}`;
+}
+
+interface Told {
+  kind: string;
+  mark: () => Node;
+  text: () => (Node | string)[];
+}
+
+function verdictOf(job: JobDetail, report: Report | null): Told {
+  const b = (text: string): HTMLElement => h("b", null, text);
+  if (job.state === "failed") {
+    const error = job.error ?? {};
+    const where = error.stage ? `${error.stage} failed` : "failed";
+    return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(error.message ?? "The job failed."), " ", error.advice ?? "", " What was computed before is kept."] };
+  }
+  if (job.state === "cancelled") return { kind: "", mark: () => stateMark("idle", "cancel", "Cancelled"), text: () => ["What was computed is kept; a new job with the same scene and settings goes on from there."] };
+  if (job.verdict === null) {
+    const text = job.state === "queued" ? "The job waits for a worker." : "Whether every view can meet the budget is known once the placement has been evaluated.";
+    return { kind: "", mark: () => stateMark("idle", "queue", "Verdict open"), text: () => [text] };
+  }
+  const budget = job.budget;
+  const kind = { valid: "ok", infeasible: "inf", unproven: "" }[job.verdict];
+  return { kind, mark: () => verdictMark(job.verdict!), text: () => {
+    if (!report) return [];
+    if (job.verdict === "unproven") return ["The placement can be walked; it carries no certificate: its evaluation failed, or found a view over budget."];
+    if (job.verdict === "infeasible") {
+      const smallest = report.smallest_budget?.text;
+      return [b(`${count(report.hopeless_views ?? 0)} of ${count(report.problem_views ?? 0)}`), ` problem views cannot meet ${budget} with any impostor. All other views do. `,
+        ...(smallest ? [h("a", { href: again(job.id, smallest) }, "Smallest budget that works: ", b(smallest))] : [])];
+    }
+    if (report.problem_views === 0) {
+      const heaviest = report.worst_geometry_cost !== undefined ? ` (heaviest: ${costText(report.worst_geometry_cost, report.unit ?? "")})` : "";
+      return [`Valid without impostors: no view costs more than ${budget}${heaviest}.`];
+    }
+    return ["Every view is drawn within ", b(budget), report.problem_views !== undefined ? `, all ${plural(report.problem_views, "problem view")} with it.` : "."];
+  } };
+}
+
+function progress(job: JobDetail, found: Estimate): Node[] {
+  const began = Date.parse(job.started_at ?? job.created_at);
+  const line = (a: string, c = ""): HTMLElement => h("div", { class: "eta" }, h("span", null, h("b", null, a)), h("span", null, c));
+  if (job.state === "queued") return [progressBar("wait", 0, [], "Progress"), line("queued")];
+  if (job.state === "running") {
+    const left = timeLeftText(found);
+    return [progressBar("", found.fraction, found.ends, "Progress"), line(`${Math.round(found.fraction * 100)} %`, left.main), h("small", { class: "q" }, left.small || "\u00a0")];
+  }
+  const took = job.finished_at ? `took ${duration((Date.parse(job.finished_at) - began) / 1000)}` : "";
+  if (job.state === "done") return [line(took)];
+  return [progressBar(job.state === "failed" ? "stop" : "off", job.progress, [], "Progress"), line(took.replace("took", "stopped after"))];
+}

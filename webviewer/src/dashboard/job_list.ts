@@ -1,0 +1,265 @@
+/** The list of jobs: read in pages, kept fresh while anything runs, filtered in the address. */
+import { cancelJob, explain, listJobs, readJob, readReport } from "../api/client";
+import type { Job } from "../api/types";
+import { h, refill } from "./element";
+import { historyOf, Ratchet, type History } from "./estimate";
+import { confirmed, failed, note, onKey, showLine, skeleton } from "./frame";
+import { COLUMNS, fillRow, makeRow, type Figures, type RowData } from "./job_row";
+
+const BUSY_MS = 1500;
+const IDLE_MS = 10_000;
+const PAGE = 100;
+const WATCHED = 4; // running jobs whose stages are read for their time left
+const HISTORIES = 3;
+const HEADINGS = { state: "State", scene: "Scene", bud: "Budget", prog: "Progress, time left", ver: "Verdict", mem: "Memory", age: "Age" };
+
+type StateFilter = "all" | "active" | "done" | "failed";
+const STATES: Record<StateFilter, (job: Job) => boolean> = {
+  all: () => true,
+  active: (j) => j.state === "queued" || j.state === "running",
+  done: (j) => j.state === "done",
+  failed: (j) => j.state === "failed" || j.state === "cancelled",
+};
+
+export class JobList {
+  readonly element: HTMLElement;
+  private readonly rows = new Map<string, { row: HTMLTableRowElement; data: RowData }>();
+  private order: string[] = [];
+  private cursor: string | null = null;
+  private readonly histories: History[] = [];
+  private readonly ratchet = new Ratchet();
+  private readonly body = h("tbody");
+  private readonly table: HTMLTableElement;
+  private readonly below = h("div", { class: "empty" });
+  private readonly says = h("div", { role: "status" });
+  private readonly count = h("span", { class: "end" });
+  private readonly search = h("input", { type: "search", "aria-label": "Filter jobs by scene or digest", placeholder: "scene, digest   /" });
+  private readonly radios: Record<string, { input: HTMLInputElement; text: HTMLElement }> = {};
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private lostAtMs = 0;
+  private loaded = false;
+
+  constructor() {
+    const seg = h("div", { class: "seg", role: "radiogroup", "aria-label": "State" });
+    for (const [value, word] of Object.entries({ all: "All", active: "Active", done: "Done", failed: "Failed" })) {
+      const input = h("input", { type: "radio", name: "state", value, onchange: () => this.filterChanged() });
+      const text = h("span", null, word);
+      this.radios[value] = { input, text };
+      seg.append(h("label", null, input, text));
+    }
+    this.table = h("table", { class: "jt" }, h("caption", { class: "sr" }, "Jobs, newest first"),
+      h("colgroup", null, ...COLUMNS.map((c) => h("col", { class: `w-${c}` }))),
+      h("thead", null, h("tr", null, ...COLUMNS.map((c) => h("th", c === "bud" || c === "mem" ? { class: "r", scope: "col" } : { scope: "col" }, HEADINGS[c])))), this.body);
+    const form = h("form", { class: "filter", role: "search", onsubmit: (e: Event) => e.preventDefault() }, this.search, seg, this.count);
+    this.search.addEventListener("input", () => this.filterChanged());
+    this.element = h("div", null, h("h1", { class: "sr" }, "Jobs"), form, this.says, this.table, this.below);
+    this.readAddress();
+    addEventListener("hashchange", () => this.readAddress());
+    onKey("/", (e) => (e.preventDefault(), this.search.focus()));
+    onKey("ArrowDown", (e) => this.step(e, 1));
+    onKey("ArrowUp", (e) => this.step(e, -1));
+    onKey("Escape", () => document.activeElement === this.search && this.clear());
+    document.addEventListener("visibilitychange", () => !document.hidden && this.refresh());
+  }
+
+  /** Reads the newest page now, and again from time to time. */
+  refresh(): void {
+    clearTimeout(this.timer);
+    void this.read().finally(() => {
+      clearTimeout(this.timer);
+      const busy = [...this.rows.values()].some((r) => STATES.active(r.data.job));
+      this.timer = setTimeout(() => (document.hidden ? (this.timer = undefined) : this.refresh()), busy || this.lostAtMs ? BUSY_MS : IDLE_MS);
+    });
+  }
+
+  private async read(): Promise<void> {
+    const loading = this.loaded ? null : skeleton(5, this.below);
+    try {
+      const page = await listJobs({ limit: PAGE });
+      const known = new Set(this.order);
+      const fresh = page.jobs.map((j) => j.id);
+      // What lies beyond the first page stays as it was read; a page never loses a row that it showed.
+      this.order = [...fresh, ...this.order.filter((id) => !fresh.includes(id))];
+      if (!this.loaded || !known.size) this.cursor = page.next;
+      for (const job of page.jobs) this.put(job);
+      await this.readMore();
+      this.loaded = true;
+      this.lostAtMs = 0;
+      showLine(true);
+      this.says.replaceChildren();
+      this.draw();
+    } catch (error) {
+      this.lostAtMs ||= Date.now();
+      showLine(false, this.lostAtMs);
+      loading?.stop();
+      if (!this.loaded) failed(this.says, error, "The jobs cannot be read", () => this.refresh());
+      else {
+        const told = `Not live: ${explain(error).text}`;
+        refill(this.says, told, () => [note("inf", "infeas", told, `What you see was read before. Trying again every ${BUSY_MS / 1000} s; nothing is lost.`)]);
+      }
+    } finally {
+      loading?.stop();
+    }
+  }
+
+  private put(job: Job): void {
+    const held = this.rows.get(job.id);
+    if (held) held.data.job = job;
+    else this.rows.set(job.id, { row: makeRow(), data: { job, detail: null, figures: null } });
+  }
+
+  /** Stages of what runs; for done jobs the figures of their reports, once, those in sight first. */
+  private async readMore(): Promise<void> {
+    const jobs = this.order.map((id) => this.rows.get(id)!.data);
+    const running = jobs.filter((d) => d.job.state === "running").slice(0, WATCHED);
+    if (running.length && !this.histories.length) {
+      const done = jobs.filter((d) => d.job.state === "done").slice(0, HISTORIES);
+      for (const d of done) this.histories.push(historyOf((await readJob(d.job.id)).stages));
+    }
+    for (const d of running) d.detail = await readJob(d.job.id);
+    void this.readFigures();
+  }
+
+  private reading = false;
+  private async readFigures(): Promise<void> {
+    if (this.reading) return;
+    this.reading = true;
+    try {
+      for (const id of this.order) {
+        const held = this.rows.get(id);
+        if (!held || held.data.job.state !== "done" || held.data.figures || !inSight(held.row)) continue;
+        held.data.figures = await figuresOf(held.data.job);
+        this.fill(id);
+      }
+    } catch {
+      // The list stands without them; the next round asks again.
+    } finally {
+      this.reading = false;
+    }
+  }
+
+  private fill(id: string): void {
+    const held = this.rows.get(id)!;
+    fillRow(held.row, held.data, this.histories, this.ratchet, (job) => void this.cancel(job));
+  }
+
+  private shown(): string[] {
+    const { words, state } = this.filter();
+    return this.order.filter((id) => {
+      const { job } = this.rows.get(id)!.data;
+      const text = `${job.name} ${job.scene} ${job.id} ${job.budget} ${job.state} ${job.verdict ?? ""}`.toLowerCase();
+      return STATES[state](job) && words.every((w) => text.includes(w));
+    });
+  }
+
+  private draw(): void {
+    const shown = this.shown();
+    shown.forEach((id, k) => {
+      const { row } = this.rows.get(id)!;
+      this.fill(id);
+      if (this.body.rows[k] !== row) this.body.insertBefore(row, this.body.rows[k] ?? null);
+    });
+    while (this.body.rows.length > shown.length) this.body.rows[this.body.rows.length - 1].remove();
+    const jobs = this.order.map((id) => this.rows.get(id)!.data.job);
+    const active = jobs.filter(STATES.active).length;
+    const broken = jobs.filter((j) => j.state === "failed").length;
+    this.radios.active.text.textContent = active ? `Active ${active}` : "Active";
+    this.radios.failed.text.textContent = broken ? `Failed ${broken}` : "Failed";
+    this.table.hidden = !shown.length;
+    const total = `${jobs.length.toLocaleString("en")}${this.cursor ? " or more" : ""}`;
+    this.count.textContent = shown.length === jobs.length ? total : `${shown.length.toLocaleString("en")} of ${total}`;
+    refill(this.below, JSON.stringify([jobs.length > 0, shown.length > 0, this.search.value, this.cursor]), () => this.underneath(jobs.length, shown.length));
+    void this.readFigures();
+  }
+
+  private underneath(all: number, shown: number): (Node | null)[] {
+    if (!all) {
+      return [h("section", { class: "panel" }, h("header", null, h("h2", null, "No jobs yet")),
+        h("p", { class: "q2" }, "Drop a level on this page, or send one from a build:"),
+        h("pre", { class: "mono" }, `farfield submit level.glb --url ${location.origin} --budget "16 ms"`))];
+    }
+    const more = this.cursor ? h("div", { class: "more" }, h("button", { type: "button", onclick: () => void this.older() }, "Older jobs")) : null;
+    if (shown) return [more];
+    const sought = this.filter().words.join(" ");
+    return [h("section", { class: "panel" }, h("header", null, h("h2", null, "Nothing matches the filter")),
+      h("p", { class: "q2" }, sought ? `No job of this kind matches “${sought}”.` : "No job is in this state."),
+      h("div", { class: "more" }, h("button", { type: "button", onclick: () => this.clear() }, "Clear filter"))), more];
+  }
+
+  private async older(): Promise<void> {
+    if (!this.cursor) return;
+    try {
+      const page = await listJobs({ limit: PAGE, cursor: this.cursor });
+      this.cursor = page.next;
+      for (const job of page.jobs) {
+        if (!this.rows.has(job.id)) this.order.push(job.id);
+        this.put(job);
+      }
+      this.draw();
+    } catch (error) {
+      failed(this.says, error, "Older jobs cannot be read");
+    }
+  }
+
+  private async cancel(job: Job): Promise<void> {
+    const yes = await confirmed(`Cancel ${job.name}?`, "What is computed so far is kept, and a new job with the same scene and settings starts from there.", "Cancel the job", "Let it run");
+    if (!yes) return;
+    await cancelJob(job.id).catch((error: unknown) => failed(this.says, error, "The job could not be cancelled"));
+    this.refresh();
+  }
+
+  private filter(): { words: string[]; state: StateFilter } {
+    const state = (Object.entries(this.radios).find(([, r]) => r.input.checked)?.[0] ?? "all") as StateFilter;
+    return { words: this.search.value.toLowerCase().split(/\s+/).filter(Boolean), state };
+  }
+
+  private clear(): void {
+    this.search.value = "";
+    this.radios.all.input.checked = true;
+    this.filterChanged();
+    this.search.focus();
+  }
+
+  /** The filter stands in the fragment: it can be sent on, and no server log has it. */
+  private filterChanged(): void {
+    const { state } = this.filter();
+    const parts = new URLSearchParams();
+    if (this.search.value) parts.set("find", this.search.value);
+    if (state !== "all") parts.set("state", state);
+    history.replaceState(null, "", parts.size ? `#${parts}` : location.pathname);
+    this.draw();
+  }
+
+  private readAddress(): void {
+    const given = new URLSearchParams(location.hash.slice(1));
+    this.search.value = given.get("find") ?? "";
+    (this.radios[given.get("state") ?? "all"] ?? this.radios.all).input.checked = true;
+    if (this.loaded) this.draw();
+  }
+
+  private step(event: KeyboardEvent, by: number): void {
+    if (event.target instanceof HTMLInputElement) return;
+    const links = [...this.body.querySelectorAll<HTMLAnchorElement>(".scene a")];
+    if (!links.length) return;
+    const at = links.findIndex((a) => a.closest("tr")!.contains(document.activeElement));
+    links[Math.max(0, Math.min(links.length - 1, at < 0 ? 0 : at + by))].focus();
+    event.preventDefault();
+  }
+}
+
+function inSight(row: HTMLElement): boolean {
+  const r = row.getBoundingClientRect();
+  return row.isConnected && r.bottom > -200 && r.top < innerHeight + 200;
+}
+
+/** Reports of done jobs never change: kept for the session. */
+async function figuresOf(job: Job): Promise<Figures> {
+  const key = `farfield-figures-${job.id}`;
+  const kept = sessionStorage.getItem(key);
+  if (kept) return JSON.parse(kept) as Figures;
+  const report = await readReport<{ bytes?: number; hopeless_views?: number; smallest_budget?: { text?: string } }>({ job: job.id });
+  const found = { bytes: report.bytes ?? null, hopelessViews: report.hopeless_views ?? 0, smallest: report.smallest_budget?.text ?? "" };
+  sessionStorage.setItem(key, JSON.stringify(found));
+  return found;
+}
+

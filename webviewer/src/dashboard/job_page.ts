@@ -1,0 +1,156 @@
+/** /jobs/ID: where a job stands, live; once it is done its verdict, map and hopeless views. */
+import { cancelJob, explain, readEvents, readJob, readReport, readShards } from "../api/client";
+import { EventStream, type Line } from "../api/event_stream";
+import type { JobDetail, JobEvent } from "../api/types";
+import { estimate, Ratchet, type History } from "./estimate";
+import { h } from "./element";
+import { confirmed, failed, main, note, onKey, openPage, showLine } from "./frame";
+import { clock } from "./format";
+import { hopelessPanel } from "./hopeless";
+import { drawHead, readHistories } from "./job_head";
+import { addHistory, apply, emptyState, setShards } from "./job_state";
+import { LogDrawer } from "./log_drawer";
+import type { Report } from "./report_types";
+import { ShardGrid } from "./shard_grid";
+import { StageStrip } from "./stage_strip";
+import { readMap, ViewMap } from "./view_map";
+
+const LOG_EVENTS = 500; // of the past, read for the log
+const REREAD_MS = 400;
+const TICK_MS = 1000;
+
+const id = decodeURIComponent(location.pathname.split("/").filter(Boolean)[1] ?? "");
+await openPage([["1–9", "stage"], ["L", "log"], ["V", "stand at the selected cell"]]);
+await start().catch((error: unknown) => failed(main, error, "This job cannot be shown", () => location.reload()));
+
+async function start(): Promise<void> {
+  let job = await readJob(id);
+  let readAtMs = Date.now();
+  let histories: History[] = [];
+  let report: Report | null = null;
+  const state = emptyState();
+  const ratchet = new Ratchet();
+  const grid = new ShardGrid(state);
+  const log = new LogDrawer(state, job.name);
+  const strip = new StageStrip((stage) => {
+    grid.filter(stage);
+    log.filter(stage);
+  });
+  const head = h("div");
+  const says = h("div", { role: "status" });
+  const left = h("div", { class: "col" });
+  const two = h("div", { class: "two" }, left, h("div", { class: "col" }, grid.element));
+  const below = h("div");
+  main.replaceChildren(head, says, strip.element, two, below, log.element);
+  document.title = `${job.name} · farfield`;
+
+  const ended = (): boolean => !["queued", "running"].includes(job.state);
+  const draw = (): void => {
+    const found = estimate(job.stages, histories);
+    drawHead(head, job, report, { ...found, fraction: ratchet.at(id, found.fraction) }, () => void cancel());
+    strip.show(job.stages, readAtMs, !ended());
+  };
+
+  async function cancel(): Promise<void> {
+    const yes = await confirmed(`Cancel ${job.name}?`, "What is computed so far is kept, and a new job with the same scene and settings starts from there.", "Cancel the job", "Let it run");
+    if (!yes) return;
+    try {
+      take(await cancelJob(id));
+    } catch (error) {
+      says.replaceChildren(note("bad", "fail", "Not cancelled", explain(error).text));
+    }
+  }
+
+  function take(fresh: JobDetail): void {
+    const wasOpen = !ended();
+    job = fresh;
+    readAtMs = Date.now();
+    draw();
+    if (wasOpen && ended()) void finish();
+  }
+
+  let rereading: ReturnType<typeof setTimeout> | undefined;
+  const reread = (): void => {
+    rereading ??= setTimeout(() => {
+      rereading = undefined;
+      readJob(id).then(take, () => undefined); // the stream says when the line is dead
+    }, REREAD_MS);
+  };
+
+  /** Seconds, peaks and workers are not in events: read once more when all is over. */
+  async function finish(): Promise<void> {
+    await readAllShards();
+    if (job.state !== "done") return;
+    try {
+      report = await readReport<Report>({ job: id });
+      draw();
+      const map = await readMap(id, report).then((data) => new ViewMap(data, id), () => null);
+      if (map) left.replaceChildren(map.element);
+      const hopeless = hopelessPanel(report, id, (cell) => map?.select(cell));
+      if (hopeless) below.replaceChildren(hopeless);
+    } catch (error) {
+      says.replaceChildren(note("bad", "fail", "The result cannot be read", explain(error).text));
+    }
+    left.hidden = !left.childElementCount;
+  }
+
+  async function readAllShards(): Promise<void> {
+    for (const stage of job.stages) if (stage.state !== "waiting") setShards(state, stage.name, (await readShards(id, stage.name)).shards);
+    grid.draw();
+  }
+
+  left.hidden = true;
+  draw();
+  onKey("l", () => log.toggle());
+  for (let k = 1; k <= 9; k++) onKey(String(k), () => strip.pick(k - 1));
+  await readAllShards();
+  const past = await readEvents(id, Math.max(0, job.last_event - LOG_EVENTS), LOG_EVENTS);
+  addHistory(state, past.events.filter((e) => e.seq <= job.last_event));
+  grid.draw();
+  log.changed();
+  if (ended()) await finish();
+  else histories = await readHistories(id).catch(() => []);
+  draw();
+
+  const stream = new EventStream(id, job.last_event, {
+    event: (event: JobEvent) => {
+      if (apply(state, event)) reread();
+      else bump(job, event);
+      grid.changed();
+      log.changed();
+    },
+    line: (line: Line) => told(line, says, () => stream.retryNow()),
+  });
+  setInterval(() => {
+    if (ended()) return;
+    draw();
+    grid.changed();
+  }, TICK_MS);
+  addEventListener("pagehide", () => stream.close());
+}
+
+/** Counts of the running stage move with each shard, without asking again. */
+function bump(job: JobDetail, event: JobEvent): void {
+  const stage = job.stages.find((s) => s.name === event.data.stage);
+  if (!stage || event.data.kind !== "run") return;
+  if (event.data.state === "done") {
+    stage.shards.done = Math.min(stage.shards.total, stage.shards.done + 1);
+    stage.shards.running = Math.max(0, stage.shards.running - 1);
+  } else if (event.data.state === "running") stage.shards.running++;
+}
+
+function told(line: Line, says: HTMLElement, retry: () => void): void {
+  if (line.state === "live" || line.state === "ended") {
+    showLine(line.state === "live" ? true : null);
+    says.replaceChildren();
+  } else if (line.state === "lost") {
+    showLine(false, line.sinceMs);
+    const wait = Math.max(1, Math.round((line.retryAtMs - Date.now()) / 1000));
+    const text = `What you see is as of ${clock(line.sinceMs)}. Trying again in ${wait} s; nothing is lost, the stream resumes after event ${line.lastEvent.toLocaleString("en")}.`;
+    says.replaceChildren(note("inf", "infeas", `Not live since ${clock(line.sinceMs)}`, text, h("button", { type: "button", onclick: retry }, "Try now")));
+  } else {
+    showLine(null);
+    failed(says, line.error, "No longer live", () => location.reload());
+  }
+}
+

@@ -1,0 +1,58 @@
+/** /jobs/ID/report and /viewer/NAME/report: the certificate first, then what it rests on; every table as CSV. */
+import { readJob, readReport } from "../api/client";
+import type { JobDetail } from "../api/types";
+import { h } from "./element";
+import { failed, main, openPage, skeleton } from "./frame";
+import { shortDigest, shortId } from "./format";
+import { hopelessPanel } from "./hopeless";
+import { certificate, figures, notes, stagesTable, worstViews } from "./report_parts";
+import type { Report } from "./report_types";
+import { count } from "../ui/format";
+import { viewAddress } from "../ui/view_link";
+import { download } from "./csv";
+import { readMap, ViewMap } from "./view_map";
+
+const [kind, item] = location.pathname.split("/").filter(Boolean).map(decodeURIComponent);
+await openPage([["V", "stand at the selected cell of the map"]]);
+await start().catch((error: unknown) => failed(main, error, "This report cannot be shown", () => location.reload()));
+
+async function start(): Promise<void> {
+  const loading = skeleton(8);
+  let job: JobDetail | null = null;
+  let report: Report;
+  try {
+    if (kind === "jobs") job = await readJob(item);
+    report = await readReport<Report>(kind === "jobs" ? { job: item } : { placement: item });
+  } finally {
+    loading.stop();
+  }
+  const title = [job?.name ?? item, report.budget].filter(Boolean).join(", ");
+  document.title = `Report: ${title} · farfield`;
+  const map = h("div");
+  const hopeless = h("div");
+  main.replaceChildren(head(job, title, report), certificate(report, item), ...[figures(report), stagesTable(report)].filter((p) => p !== null), map, hopeless,
+    ...[worstViews(report, item), notes(report)].filter((p) => p !== null));
+  // The map needs the placement's own files; without them the report stands as it is.
+  const drawn = await readMap(item, report).then((data) => new ViewMap(data, item), () => null);
+  if (drawn) {
+    drawn.element.classList.add("report-part");
+    map.replaceChildren(drawn.element);
+  }
+  const panel = hopelessPanel(report, item, (cell) => drawn?.select(cell));
+  if (panel) hopeless.replaceChildren(panel);
+}
+
+function head(job: JobDetail | null, title: string, report: Report): HTMLElement {
+  const way = job ? [h("a", { href: "/jobs" }, "Jobs"), " / ", h("a", { href: `/jobs/${encodeURIComponent(item)}`, class: "mono" }, `job ${shortId(item)}`), " / report"] : [h("a", { href: "/jobs" }, "Jobs"), " / ", h("span", { class: "mono" }, item), " / report"];
+  const scene = job?.scene ?? report.inputs?.["scene"];
+  const software = report.software?.["farfield"];
+  const size = report.objects !== undefined ? `${count(report.objects)} objects, ${count(report.triangles ?? 0)} triangles` : null;
+  return h("div", { class: "head" },
+    h("div", null, h("nav", { class: "crumb", "aria-label": "Path" }, ...way), h("h1", null, title),
+      h("div", { class: "facts" }, scene ? h("span", null, "scene ", h("b", { class: "mono" }, shortDigest(scene))) : null, size ? h("span", null, size) : null,
+        typeof software === "string" ? h("span", null, "farfield ", h("b", null, software)) : null,
+        job?.finished_at ? h("span", null, `${job.finished_at.slice(0, 16).replace("T", " ")} UTC`) : null)),
+    h("div", { class: "acts" }, h("a", { class: "btn primary", href: viewAddress(item) }, "Open in viewer"),
+      h("button", { type: "button", onclick: () => download(`${item}-report.json`, JSON.stringify(report, null, 1), "application/json") }, "JSON"),
+      h("button", { type: "button", onclick: () => print() }, "Print")));
+}

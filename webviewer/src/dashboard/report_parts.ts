@@ -1,0 +1,135 @@
+/** The parts of a report; each is left out where the report has nothing for it. */
+import { bytes, cost as costText, count } from "../ui/format";
+import { viewAddress } from "../ui/view_link";
+import { csv, download, type Cell } from "./csv";
+import { h } from "./element";
+import { bearing, duration, metres, plural } from "./format";
+import { compass } from "./hopeless";
+import { icon, verdictMark } from "./icons";
+import type { Report } from "./report_types";
+
+type Row = [name: string, value: string, hint: string];
+
+function known<T>(value: T | null | undefined): value is T {
+  return value !== null && value !== undefined;
+}
+
+export function certificate(report: Report, placement: string): HTMLElement {
+  const unit = report.unit ?? "";
+  const checked: (Row | null)[] = [];
+  const rest: (Row | null)[] = [];
+  const { verified } = report;
+  if (known(report.budget)) checked.push(["Budget of a frame", report.budget, ""]);
+  if (known(report.worst_cost_bound)) checked.push(["Worst view, bound as placed", costText(report.worst_cost_bound, unit), report.hopeless_views ? "hopeless views included" : ""]);
+  if (known(report.worst_geometry_cost)) checked.push(["Worst view, plain geometry", costText(report.worst_geometry_cost, unit), ""]);
+  if (verified) {
+    checked.push(["Random views verified", count(verified.views), known(verified.in_problem_views) ? `${count(verified.in_problem_views)} in problem views` : ""]);
+    checked.push(["Of these over budget", count(verified.over_budget), "outside hopeless views"]);
+    checked.push(["Worst of these", `${(100 * verified.worst_ratio).toFixed(1)} %`, "of the budget"]);
+  }
+  if (known(report.hopeless_views)) rest.push(["Hopeless views", count(report.hopeless_views), known(report.problem_views) ? `of ${count(report.problem_views)}` : ""]);
+  if (report.smallest_budget) rest.push(["Smallest feasible budget", report.smallest_budget.text, "with these candidates"]);
+  if (known(report.bytes)) rest.push(["Impostor memory", bytes(report.bytes), known(report.impostors) ? plural(report.impostors, "impostor") : ""]);
+  if (known(report.lower_bound_bytes) && report.bytes) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `gap ${((100 * report.bytes) / Math.max(report.lower_bound_bytes, 1) - 100).toFixed(1)} %`]);
+  if (known(report.file_bytes)) rest.push(["Files", bytes(report.file_bytes), known(report.pages) ? plural(report.pages, "page") : ""]);
+  if (known(report.video_bytes)) rest.push(["Video memory, all pages", bytes(report.video_bytes), ""]);
+  const worst = verified?.worst_view;
+  return h("section", { class: "cert", "aria-label": "Certificate" },
+    h("div", null, h("div", { class: "big" }, verdictMark(report.verdict)), ...meaning(report),
+      worst ? h("p", { class: "small noprint" }, h("a", { href: viewAddress(placement, worst.position, worst.direction) }, "Stand at the worst verified view")) : null),
+    facts(checked), facts(rest));
+}
+
+function facts(rows: (Row | null)[]): HTMLElement {
+  return h("table", null, h("tbody", null, ...rows.filter(known).map(([name, value, hint]) => h("tr", null, h("td", null, name), h("td", { class: "v" }, value), h("td", { class: "h" }, hint)))));
+}
+
+function meaning(report: Report): HTMLElement[] {
+  const b = (text: string): HTMLElement => h("b", null, text);
+  const budget = report.budget ?? "the budget";
+  const camera = report.camera ? `Holds for ${report.camera.width} × ${report.camera.height}, ${report.camera.fov_deg}° vertical, no roll` : "";
+  const device = report.settings?.device ? `, device ${report.settings.device}` : "";
+  const error = report.quality ? [" at a parallax of at most ", b(`${report.quality.pixel_error} px`)] : [];
+  const lines: HTMLElement[] = [];
+  if (report.verdict === "valid") {
+    lines.push(h("p", null, "Every view in the view space is drawn within ", b(budget), ...(report.impostors ? error : []), "."));
+    if (report.problem_views === 0) lines.push(h("p", null, "No view costs more as plain geometry: there was nothing to place."));
+  } else if (report.verdict === "infeasible") {
+    lines.push(h("p", null, b(plural(report.hopeless_views ?? 0, "view")), " cannot meet ", b(budget), " with any impostor. Every other view does", ...error, "."));
+  } else {
+    lines.push(h("p", null, "It is not proved that every view meets ", b(budget), ". The placement can be walked; it carries no certificate."));
+  }
+  if (camera) lines.push(h("p", { class: "small q" }, `${camera}${device}.`));
+  return lines;
+}
+
+function csvButton(name: string, header: string[], rows: () => Cell[][]): HTMLElement {
+  return h("button", { class: "btn plain noprint", type: "button", "aria-label": `${name} as CSV`, onclick: () => download(`${name}.csv`, csv(header, rows())) }, "CSV");
+}
+
+function part(id: string, title: string, hint: string, button: HTMLElement | null, ...content: Node[]): HTMLElement {
+  return h("section", { class: "panel report-part", "aria-labelledby": id }, h("header", null, h("h2", { id }, title), hint ? h("span", { class: "small q" }, hint) : null, h("div", { class: "end" }, button)), ...content);
+}
+
+export function figures(report: Report): HTMLElement | null {
+  const rows: [string, string, number | null | undefined, "count" | "bytes"][] = [
+    ["Objects", "what a placement may replace", report.objects, "count"],
+    ["Triangles", "", report.triangles, "count"],
+    ["View-space cells", "leaves of the view-space tree", report.cells, "count"],
+    ["Problem views", "pairs of cell and direction interval over budget as plain geometry", report.problem_views, "count"],
+    ["Hopeless views", "over budget with any impostor", report.hopeless_views, "count"],
+    ["Candidates", "impostors that were weighed", report.candidates, "count"],
+    ["Impostors", "chosen and baked", report.impostors, "count"],
+    ["Layers", "quads that stand for them", report.layers, "count"],
+    ["Impostor bytes", "the measure that was made least", report.bytes, "bytes"],
+    ["File bytes", "index, chunks and pages", report.file_bytes, "bytes"],
+    ["Video bytes", "all pages in video memory", report.video_bytes, "bytes"],
+    ["Chunks", "files of problem views", report.chunks, "count"],
+    ["Pages", "texture atlases", report.pages, "count"],
+  ];
+  const there = rows.filter(([, , value]) => known(value));
+  if (!there.length) return null;
+  const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Figures"), h("tbody", null, ...there.map(([name, hint, value, kind]) =>
+    h("tr", null, h("th", { scope: "row" }, name), h("td", { class: "q2" }, hint), h("td", { class: "r nw" }, kind === "bytes" ? bytes(value!) : count(value!))))));
+  return part("fig-h", "Figures", "", csvButton("figures", ["figure", "value"], () => there.map(([name, , value]) => [name, value!])), h("div", { class: "scroll" }, table));
+}
+
+export function stagesTable(report: Report): HTMLElement | null {
+  if (!report.stages.length) return null;
+  const longest = Math.max(...report.stages.map((s) => s.seconds), 1e-9);
+  const largest = Math.max(...report.stages.map((s) => s.peak_bytes ?? 0), 1);
+  const bar = (share: number): HTMLElement => h("i", { class: `prop${share > 0 ? "" : " off"}`, css: { "--at": `${100 * share}%` } });
+  const memory = report.stages.some((s) => known(s.peak_bytes));
+  const rows = report.stages.map((s) => s.skipped !== null && s.skipped !== undefined
+    ? h("tr", { class: "skipd" }, h("th", { scope: "row" }, icon("skip"), ` ${s.name}`), h("td", { class: "r nw" }, s.seconds > 0 ? duration(s.seconds) : "skipped"), h("td", { class: "st-why", colspan: memory ? 3 : 1 }, s.skipped))
+    : h("tr", null, h("th", { scope: "row" }, s.name), h("td", { class: "r nw" }, duration(s.seconds)), h("td", { class: "st-bar" }, bar(s.seconds / longest)),
+      ...(memory ? [h("td", { class: "r nw" }, known(s.peak_bytes) ? bytes(s.peak_bytes) : "—"), h("td", { class: "st-bar" }, bar((s.peak_bytes ?? 0) / largest))] : [])));
+  const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Seconds and peak memory of each stage"),
+    h("thead", null, h("tr", null, h("th", { scope: "col" }, "Stage"), h("th", { scope: "col", class: "r" }, "Time"), h("th", null, h("span", { class: "sr" }, "Time as a bar")),
+      ...(memory ? [h("th", { scope: "col", class: "r" }, "Peak memory"), h("th", null, h("span", { class: "sr" }, "Memory as a bar"))] : []))), h("tbody", null, ...rows));
+  const total = [known(report.seconds) ? duration(report.seconds) : "", known(report.peak_bytes) ? `${bytes(report.peak_bytes)} at most in one process` : ""].filter(Boolean).join(", ");
+  const button = csvButton("stages", ["stage", "seconds", "peak_bytes", "skipped"], () => report.stages.map((s) => [s.name, s.seconds, s.peak_bytes, s.skipped]));
+  return part("st-h", "Stages", total, button, h("div", { class: "scroll" }, table));
+}
+
+export function worstViews(report: Report, placement: string): HTMLElement | null {
+  const views = report.worst_views ?? [];
+  if (!views.length) return null;
+  const unit = report.unit ?? "";
+  const budget = report.budget_amount ?? Infinity;
+  const rows = views.map((v) => h("tr", null, h("td", { class: "c-dir" }, compass(v.direction)), h("td", { class: "mono nw c-cell" }, `${v.cell} · ${bearing(v.direction)}°`), h("td", { class: "nw q2 c-geo" }, v.position.map(metres).join(", ")),
+    h("td", { class: "r nw c-geo" }, costText(v.geometry_cost, unit)), h("td", { class: "r nw" }, h("b", v.cost_bound > budget ? { class: "over" } : null, costText(v.cost_bound, unit)), v.hopeless ? h("span", { class: "q" }, " hopeless") : null),
+    h("td", { class: "r c-geo" }, count(v.impostors)), h("td", { class: "r c-open noprint" }, h("a", { class: "nw", href: viewAddress(placement, v.position, v.direction) }, "Open view"))));
+  const table = h("table", { class: "num ht" }, h("caption", { class: "sr" }, "Views with the highest bound"),
+    h("thead", null, h("tr", null, h("th", null, h("span", { class: "sr" }, "Direction")), h("th", null, "Cell"), h("th", null, "Position, m"), h("th", { class: "r" }, "Geometry"), h("th", { class: "r" }, "As placed"), h("th", { class: "r" }, "Impostors"), h("th", { class: "noprint" }, h("span", { class: "sr" }, "Viewer")))), h("tbody", null, ...rows));
+  const button = csvButton("worst-views", ["problem_view", "cell", "interval", "x_m", "y_m", "z_m", "direction_x", "direction_y", "direction_z", `geometry_${unit}`, `bound_${unit}`, "impostors", "hopeless"],
+    () => views.map((v) => [v.problem_view, v.cell, v.interval, ...v.position, ...v.direction, v.geometry_cost, v.cost_bound, v.impostors, v.hopeless ? 1 : 0]));
+  return part("wv-h", "Worst views", "highest bound on the cost, as placed", button, h("div", { class: "scroll" }, table));
+}
+
+export function notes(report: Report): HTMLElement | null {
+  const lines = [...(report.warnings ?? []), ...(report.not_baked ?? [])];
+  if (report.dropped_triangles) lines.push(`${plural(report.dropped_triangles, "triangle")} without area ignored`);
+  if (!lines.length) return null;
+  return part("nt-h", "Notes", "", null, h("ul", { class: "warn" }, ...lines.map((l) => h("li", { class: "q2" }, icon("note"), h("span", null, l)))));
+}

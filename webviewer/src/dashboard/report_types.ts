@@ -1,0 +1,89 @@
+/** `report.json`, docs/formats/report.md. Older or other reports may lack keys: what is missing is not shown. */
+import type { CostUnit } from "../placementdb/manifest";
+import type { Settings } from "../api/schema";
+import type { Box, Vec3, Verdict } from "../api/types";
+
+export interface ReportStage {
+  name: string;
+  seconds: number;
+  peak_bytes?: number;
+  skipped: string | null;
+}
+
+export interface ReportView {
+  problem_view: number;
+  cell: number;
+  interval: number;
+  box: Box;
+  position: Vec3;
+  direction: Vec3;
+  geometry_cost: number;
+  cost_bound: number;
+  impostors: number;
+  hopeless?: boolean;
+}
+
+export interface Culprit {
+  id: number;
+  name: string;
+  triangles: number;
+  calls: number;
+  hopeless_views?: number;
+}
+
+export interface HopelessView extends ReportView {
+  best: number;
+  culprits: Culprit[];
+}
+
+export interface Verified {
+  views: number;
+  over_budget: number;
+  over_bound?: number;
+  worst_ratio: number;
+  worst_view: { position: Vec3; direction: Vec3; cost: number; cell?: number } | null;
+  in_problem_views?: number;
+}
+
+export interface Report {
+  verdict: Verdict;
+  stages: ReportStage[];
+  version?: number;
+  budget?: string;
+  budget_amount?: number;
+  unit?: CostUnit;
+  smallest_budget?: { amount: number; text: string };
+  objects?: number;
+  triangles?: number;
+  cells?: number;
+  problem_views?: number;
+  hopeless_views?: number;
+  candidates?: number;
+  impostors?: number;
+  layers?: number;
+  chunks?: number;
+  pages?: number;
+  bytes?: number;
+  file_bytes?: number;
+  video_bytes?: number;
+  lower_bound_bytes?: number | null;
+  camera?: { fov_deg: number; width: number; height: number };
+  quality?: { pixel_error: number; pixels_at: string };
+  bounds?: Box | null;
+  seconds?: number;
+  peak_bytes?: number;
+  seed?: number;
+  settings?: Settings;
+  worst_geometry_cost?: number;
+  worst_cost_bound?: number;
+  worst_views?: ReportView[];
+  hopeless?: HopelessView[];
+  culprits?: Culprit[];
+  curve?: [number, number][];
+  verified?: Verified | null;
+  warnings?: string[];
+  dropped_triangles?: number;
+  not_baked?: string[];
+  software?: Record<string, unknown>;
+  inputs?: Record<string, string>;
+}

@@ -1,0 +1,53 @@
+/** Plans: what a level is from above, x to the right, z downwards, in metres. */
+import type { Box } from "../api/types";
+import { s } from "./element";
+
+export interface Plane {
+  low: [number, number]; // x, z
+  high: [number, number];
+}
+
+/** The rectangle that holds the boxes and has the aspect of the picture. */
+export function planeOf(boxes: readonly Box[], aspect: number): Plane {
+  const low: [number, number] = [Infinity, Infinity];
+  const high: [number, number] = [-Infinity, -Infinity];
+  for (const [a, b] of boxes) {
+    low[0] = Math.min(low[0], a[0]);
+    low[1] = Math.min(low[1], a[2]);
+    high[0] = Math.max(high[0], b[0]);
+    high[1] = Math.max(high[1], b[2]);
+  }
+  if (!(low[0] <= high[0])) return { low: [0, 0], high: [aspect, 1] };
+  const margin = 0.02 * Math.max(high[0] - low[0], high[1] - low[1], 1e-6);
+  let wide = high[0] - low[0] + 2 * margin;
+  let deep = high[1] - low[1] + 2 * margin;
+  if (wide < aspect * deep) wide = aspect * deep;
+  else deep = wide / aspect;
+  const x = (low[0] + high[0]) / 2;
+  const z = (low[1] + high[1]) / 2;
+  return { low: [x - wide / 2, z - deep / 2], high: [x + wide / 2, z + deep / 2] };
+}
+
+export function viewBoxOf(plane: Plane): string {
+  return [plane.low[0], plane.low[1], plane.high[0] - plane.low[0], plane.high[1] - plane.low[1]].join(" ");
+}
+
+/** One path for all boxes: a level has thousands. Coordinates are rounded to a ten-thousandth of the plan. */
+export function boxesPath(boxes: Iterable<Box>, plane: Plane): string {
+  const step = (plane.high[0] - plane.low[0]) / 10_000;
+  const digits = Math.max(0, Math.ceil(-Math.log10(step)));
+  const f = (x: number): string => String(Number(x.toFixed(digits)));
+  let d = "";
+  for (const [a, b] of boxes) d += `M${f(a[0])} ${f(a[2])}H${f(b[0])}V${f(b[2])}H${f(a[0])}z`;
+  return d;
+}
+
+/** Footprints and the suggested view space. */
+export function scenePlan(objects: readonly Box[], bounds: Box, viewSpace: readonly Box[]): SVGSVGElement {
+  const plane = planeOf([bounds], 1.5);
+  const area = (bounds[1][0] - bounds[0][0]) * (bounds[1][2] - bounds[0][2]);
+  // What covers most of the plan is ground or sky: it would hide the rest.
+  const footprints = objects.filter(([a, b]) => (b[0] - a[0]) * (b[2] - a[2]) < 0.25 * area);
+  return s("svg", { class: "plan", viewBox: viewBoxOf(plane), role: "img", "aria-label": "Plan of the level with the suggested view space" },
+    s("path", { class: "f", d: boxesPath(footprints, plane) }), s("path", { class: "v", d: boxesPath(viewSpace, plane) }));
+}

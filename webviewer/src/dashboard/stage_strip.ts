@@ -1,0 +1,84 @@
+/** The stages of a job in a row: bars linear in time, the longest full; skipped ones hatched, reasons in full below. */
+import type { StageRow } from "../api/types";
+import { bytes } from "../ui/format";
+import { h, refill } from "./element";
+import { duration, plural } from "./format";
+import { icon, stageIcon } from "./icons";
+
+export class StageStrip {
+  readonly element = h("div");
+  private readonly list = h("ol", { class: "stages", "aria-label": "Stages" });
+  private readonly reasons = h("div", { class: "whyskip" });
+  private readonly items = new Map<string, HTMLLIElement>();
+
+  /** `chosen` hears the stage that is picked, null when none is. */
+  constructor(private readonly chosen: (stage: string | null) => void) {
+    this.element.append(this.list, this.reasons);
+  }
+
+  /** `sinceMs`: when the seconds were read; stages that run go on counting. */
+  show(stages: readonly StageRow[], sinceMs: number, live: boolean): void {
+    const seconds = stages.map((s) => secondsOf(s, sinceMs, live));
+    const longest = Math.max(...seconds, 1e-3);
+    stages.forEach((stage, k) => {
+      let item = this.items.get(stage.name);
+      if (!item) {
+        const button = h("button", { type: "button", "aria-pressed": "false", onclick: () => this.toggle(stage.name) });
+        this.items.set(stage.name, (item = h("li", null, button)));
+        this.list.append(item);
+      }
+      const running = icon0(stage) === "run";
+      item.className = stage.state === "failed" ? "bad" : icon0(stage) === "skip" ? "skipd" : running ? "now" : "";
+      const button = item.firstElementChild!;
+      refill(button, JSON.stringify([stage, running ? Math.round(seconds[k] * 2) : 0, longest]), () => content(stage, seconds[k], longest));
+    });
+    const skipped = stages.filter((s) => s.skipped);
+    refill(this.reasons, JSON.stringify(skipped.map((s) => s.skipped)), () =>
+      skipped.map((s) => h("span", null, icon("skip"), " ", h("b", null, s.name), ` ${s.skipped!.startsWith("failed") ? "" : "skipped: "}${s.skipped}`)));
+    this.reasons.hidden = !skipped.length;
+  }
+
+  pick(at: number): void {
+    const name = [...this.items.keys()][at];
+    if (name) this.toggle(name);
+  }
+
+  private toggle(name: string): void {
+    let now: string | null = null;
+    for (const [key, item] of this.items) {
+      const button = item.firstElementChild!;
+      const pressed = key === name && button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", String(pressed));
+      if (pressed) now = key;
+    }
+    this.chosen(now);
+  }
+}
+
+const icon0 = (s: StageRow): string => stageIcon(s.state, s.skipped);
+
+function secondsOf(stage: StageRow, sinceMs: number, live: boolean): number {
+  const running = live && icon0(stage) === "run" && stage.seconds !== null;
+  return (stage.seconds ?? 0) + (running ? Math.max(0, Date.now() - sinceMs) / 1000 : 0);
+}
+
+function content(stage: StageRow, seconds: number, longest: number): Node[] {
+  const shape = icon0(stage);
+  const waits = stage.state === "waiting";
+  const words = { skip: "skipped", queue: "waits", fail: "failed" }[shape] ?? duration(seconds);
+  return [
+    h("span", { class: "n" }, icon(shape), stage.name, h("span", { class: "sr" }, ` ${stage.state}`)),
+    h("span", { class: `d${waits || shape === "skip" ? " q" : ""}` }, words),
+    h("i", { class: `prop${seconds > 0 && shape !== "skip" ? "" : " off"}`, css: { "--at": `${(100 * seconds) / longest}%` } }),
+    h("span", { class: "w" }, detail(stage)),
+  ];
+}
+
+function detail(stage: StageRow): string {
+  if (stage.skipped !== null) return stage.skipped;
+  const { total, done } = stage.shards;
+  if (stage.state === "running") return total > 1 ? `${done.toLocaleString("en")} of ${total.toLocaleString("en")}` : "";
+  if (stage.state === "planning" || stage.state === "merging" || stage.state === "reporting") return stage.state;
+  if (stage.state !== "done") return "";
+  return [total > 1 ? plural(total, "shard") : "", stage.peak_bytes ? bytes(stage.peak_bytes) : ""].filter(Boolean).join(", ");
+}
