@@ -125,18 +125,18 @@ def _octree_pieces(position: np.ndarray, index: np.ndarray, cell_m: float) -> li
         if not len(rest):
             return
         octant = _octant(cell[rest], levels)
-        joined: list[np.ndarray] = []
+        groups: list[list[np.ndarray]] = [[]]
         for k in range(8):
             part = rest[octant == k]
             if len(part) >= MIN_TRIANGLES:
                 cut(part)
             elif len(part):
-                joined.append(part)
-                if sum(map(len, joined)) >= MIN_TRIANGLES:
-                    pieces.append(np.sort(np.concatenate(joined)))
-                    joined = []
-        if joined:
-            pieces.append(np.sort(np.concatenate(joined)))
+                if sum(map(len, groups[-1])) >= MIN_TRIANGLES:
+                    groups.append([])
+                groups[-1].append(part)
+        if len(groups) > 1 and sum(map(len, groups[-2] + groups[-1])) < 2 * MIN_TRIANGLES:
+            groups[-2:] = [groups[-2] + groups[-1]]
+        pieces.extend(np.sort(np.concatenate(group)) for group in groups if group)
 
     cut(np.arange(len(index)))
     return pieces
