@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from farfield.bake.shade import LIGHTING
 
 _FACES = [(0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)]
 
@@ -36,7 +37,9 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
     for i, (low, high) in enumerate(np.asarray(boxes, dtype=np.float64)):
         matrix = np.diag([*np.maximum(high - low, 1e-6), 1.0])
         matrix[:3, 3] = low
-        nodes.append({"name": f"house {i}", "mesh": i % 3, "extras": {"object": i}, "matrix": matrix.T.reshape(-1).tolist()})
+        nodes.append(
+            {"name": f"house {i}", "mesh": i % 3, "extras": {"object": i}, "matrix": matrix.T.reshape(-1).tolist()}
+        )
     colors = [[0.8, 0.7, 0.6, 1.0], [0.6, 0.3, 0.2, 1.0], [0.5, 0.5, 0.55, 1.0]]
     document = {
         "asset": {"version": "2.0", "copyright": notice},
@@ -44,7 +47,8 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
         "scenes": [{"nodes": list(range(len(nodes)))}],
         "nodes": nodes,
         "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2, "material": k}]} for k in range(3)
+            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2, "material": k}]}
+            for k in range(3)
         ],
         "materials": [{"pbrMetallicRoughness": {"baseColorFactor": c, "metallicFactor": 0.0}} for c in colors],
         "accessors": [
@@ -53,7 +57,8 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
             {"bufferView": 2, "componentType": 5123, "count": 36, "type": "SCALAR"},
         ],
         "bufferViews": [
-            {"buffer": 0, "byteOffset": int(a), "byteLength": int(b - a)} for a, b in zip(starts, starts[1:], strict=False)
+            {"buffer": 0, "byteOffset": int(a), "byteLength": int(b - a)}
+            for a, b in zip(starts, starts[1:], strict=False)
         ],
         "buffers": [{"byteLength": int(starts[-1])}],
     }
@@ -69,11 +74,12 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
 
 
 def give_level(folder: Path, level: bytes) -> None:
-    """Write `scene.glb` beside a placement, and its digest into the manifest, sealed again."""
+    """Write `scene.glb` beside a placement, and its digest and the bake's lighting into the manifest, sealed again."""
     (folder / "scene.glb").write_bytes(level)
     path = folder / "placement" / "manifest.json"
     manifest = json.loads(path.read_text())
     manifest["scene"] = {"file": "scene.glb", "sha256": hashlib.sha256(level).hexdigest()}
+    manifest["lighting"] = LIGHTING
     manifest["manifest_sha256"] = "0" * 64
     text = json.dumps(manifest, sort_keys=True, separators=(",", ":")) + "\n"
     key = '"manifest_sha256":"'

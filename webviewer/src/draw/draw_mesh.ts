@@ -18,12 +18,11 @@ const DEFAULT_LIGHTING: Lighting = {
 };
 
 export function readLighting(stated: Record<string, unknown> | null): Lighting {
-  const out = { ...DEFAULT_LIGHTING };
-  for (const key of Object.keys(out) as (keyof Lighting)[]) {
+  const known = Object.keys(DEFAULT_LIGHTING).every((key) => {
     const value = stated?.[key];
-    if (Array.isArray(value) && value.length === 3 && value.every((x) => Number.isFinite(x))) out[key] = value as Lighting["sun"];
-  }
-  return out;
+    return Array.isArray(value) && value.length === 3 && value.every((x) => Number.isFinite(x));
+  });
+  return known ? (stated as Lighting) : DEFAULT_LIGHTING;
 }
 
 export class LevelMesh {

@@ -28,13 +28,22 @@ export class PageArray {
     this.bytesPerPage = levels.reduce((sum, l) => sum + 4 * l.size * l.size, 0);
     const pages = manifest.pages.length;
     const most = gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS) as number;
-    this.slots = Math.max(1, Math.min(pages, most, Math.floor(capBytes / this.bytesPerPage)));
+    let slots = Math.max(1, Math.min(pages, most, Math.floor(capBytes / this.bytesPerPage)));
+    this.texture = gl.createTexture()!;
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.texture);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.RGBA8, size, size, slots);
+    while (gl.getError() === gl.OUT_OF_MEMORY && slots > 1) {
+      // Storage is immutable, so that a smaller one needs a new texture.
+      slots >>= 1;
+      gl.deleteTexture(this.texture);
+      this.texture = gl.createTexture()!;
+      gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.texture);
+      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.RGBA8, size, size, slots);
+    }
+    this.slots = slots;
     this.pageIn = new Int32Array(this.slots).fill(-1);
     this.usedAt = new Float64Array(this.slots);
     this.slotOf = new Int16Array(SLOTS_WIDTH * Math.max(1, Math.ceil(pages / SLOTS_WIDTH))).fill(-1);
-    this.texture = gl.createTexture()!;
-    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.texture);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.RGBA8, size, size, pages ? this.slots : 1);
     // Alpha is fetched by texel; colour is filtered within one level, the shader mixes two.
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_NEAREST);
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MAG_FILTER, gl.LINEAR);

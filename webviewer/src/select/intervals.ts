@@ -33,3 +33,16 @@ export function intervalName(interval: number, n: number): string {
   const { face, i, j } = splitInterval(interval, n);
   return `${FACES[face]} ${i},${j}`;
 }
+
+/** Unit direction in the middle (of the ratios) of an interval. */
+export function intervalDirection(edges: ArrayLike<number>, interval: number): [number, number, number] {
+  const n = edges.length - 1;
+  const { face, i, j } = splitInterval(interval, n);
+  const m = face >> 1;
+  const d: [number, number, number] = [0, 0, 0];
+  d[m] = face % 2 ? -1 : 1;
+  d[(m + 1) % 3] = (edges[i] + edges[i + 1]) / 2;
+  d[(m + 2) % 3] = (edges[j] + edges[j + 1]) / 2;
+  const length = Math.hypot(d[0], d[1], d[2]);
+  return [d[0] / length, d[1] / length, d[2] / length];
+}

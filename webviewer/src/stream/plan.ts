@@ -1,6 +1,8 @@
 /** Which chunks and pages to have, best first. Pure. */
 import type { PlacementChunk } from "../placementdb/chunk";
 import type { Box, Manifest } from "../placementdb/manifest";
+import { impostorsOfView } from "../placementdb/placement";
+import { intervalDirection } from "../select/intervals";
 
 export interface Plan {
   chunks: number[]; // best first
@@ -11,10 +13,10 @@ export interface Plan {
 export const LOOK_AHEAD_S = 1.5;
 
 /**
- * The pages of what is shown now, then the rest of this cell's chunk, then chunks by the distance of their box from where
- * the camera will be. `needed` are page ids, may repeat; `current` is -1 where the cell is in no chunk.
+ * The pages of what is shown now and what is likely next (`nearby`, best first), then the rest of this cell's chunk, then
+ * chunks by the distance of their box from where the camera will be. `current` is -1 where the cell is in no chunk.
  */
-export function plan(manifest: Manifest, current: number, needed: Iterable<number>, ahead: ArrayLike<number>, slots: number, chunkBytesCap: number): Plan {
+export function plan(manifest: Manifest, current: number, nearby: Iterable<number>, ahead: ArrayLike<number>, slots: number, chunkBytesCap: number): Plan {
   const order = manifest.chunks
     .map((entry, k) => ({ k, gap: k === current ? -1 : gapTo(entry.box, ahead) }))
     .sort((a, b) => a.gap - b.gap || a.k - b.k);
@@ -26,7 +28,7 @@ export function plan(manifest: Manifest, current: number, needed: Iterable<numbe
     chunks.push(k);
   }
   const pages = new Set<number>();
-  for (const p of needed) if (pages.size < slots) pages.add(p);
+  for (const p of nearby) if (pages.size < slots) pages.add(p);
   for (const k of chunks) for (const p of manifest.chunks[k].pages) if (pages.size < slots) pages.add(p);
   return { chunks, pages: [...pages] };
 }
@@ -37,11 +39,44 @@ function gapTo([low, high]: Box, p: ArrayLike<number>): number {
   return Math.sqrt(sum);
 }
 
-/** Page ids that the local impostors of a chunk use, with repeats. */
-export function pagesOf(chunk: PlacementChunk, impostors: ArrayLike<number>): number[] {
-  const out: number[] = [];
-  for (let i = 0; i < impostors.length; i++) {
-    for (let r = chunk.impostorLayer[impostors[i]]; r < chunk.impostorLayer[impostors[i] + 1]; r++) out.push(chunk.layerPage[r]);
+/** The distinct pages of each local impostor of a chunk, found once. */
+export class ChunkPages {
+  private readonly row: Int32Array;
+  private readonly page: Int32Array;
+  private readonly chunk: PlacementChunk;
+
+  constructor(chunk: PlacementChunk) {
+    this.chunk = chunk;
+    const n = chunk.impostorId.length;
+    const pages: number[] = [];
+    this.row = new Int32Array(n + 1);
+    for (let m = 0; m < n; m++) {
+      const distinct = new Set(chunk.layerPage.subarray(chunk.impostorLayer[m], chunk.impostorLayer[m + 1]));
+      pages.push(...distinct);
+      this.row[m + 1] = pages.length;
+    }
+    this.page = Int32Array.from(pages);
   }
-  return out;
+
+  of(impostor: number): Int32Array {
+    return this.page.subarray(this.row[impostor], this.row[impostor + 1]);
+  }
+
+  /** Adds the pages of a local problem view to `out`. */
+  addView(view: number, out: Set<number>): void {
+    for (const m of impostorsOfView(this.chunk, view)) for (const p of this.of(m)) out.add(p);
+  }
+
+  /** Adds the pages of a cell's problem views, those nearest to the direction first: what turning on the spot needs. */
+  addCell(cell: number, direction: ArrayLike<number>, edges: ArrayLike<number>, out: Set<number>): void {
+    const c = cell - this.chunk.cells[0];
+    const first = this.chunk.cellView[c];
+    const length = Math.hypot(direction[0], direction[1], direction[2]);
+    const views = Array.from({ length: this.chunk.cellView[c + 1] - first }, (_, k) => {
+      const d = intervalDirection(edges, this.chunk.viewInterval[first + k]);
+      return { view: first + k, cosine: (d[0] * direction[0] + d[1] * direction[1] + d[2] * direction[2]) / length };
+    });
+    views.sort((a, b) => b.cosine - a.cosine || a.view - b.view);
+    for (const { view } of views) this.addView(view, out);
+  }
 }

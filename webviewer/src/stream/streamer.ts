@@ -52,8 +52,8 @@ export class Streamer {
   }
 
   /** Called when the cell or view changes, and now and then while the camera moves. */
-  update(current: number, needed: Iterable<number>, ahead: ArrayLike<number>): void {
-    this.plan = plan(this.placement.manifest, current, needed, ahead, this.pages.slots, CHUNK_BYTES_CAP);
+  update(current: number, likely: Iterable<number>, ahead: ArrayLike<number>): void {
+    this.plan = plan(this.placement.manifest, current, likely, ahead, this.pages.slots, CHUNK_BYTES_CAP);
     this.wanted = new Set(this.plan.pages);
     const keep = new Set(this.plan.chunks.map((k) => `chunk ${k}`));
     for (const [key, controller] of this.flying) {

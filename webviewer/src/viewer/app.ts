@@ -157,7 +157,7 @@ export class App {
     if (changed || replan) {
       this.plannedAt = this.lastMs;
       const ahead = position.map((x, a) => x + LOOK_AHEAD_S * velocity[a]);
-      this.streamer.update(this.engine.situation.chunk, this.engine.situation.needed, ahead);
+      this.streamer.update(this.engine.situation.chunk, this.engine.likelyPages(this.walker.direction, ahead), ahead);
     }
     return changed;
   }

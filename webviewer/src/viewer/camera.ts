@@ -66,12 +66,24 @@ export class Walker {
     this.position[2] += (-s * right - c * flat * forward) * seconds;
     if (!this.free && (right || up || forward)) {
       if (up) this.height = Math.max(0, this.height + up * seconds);
-      const box = this.boxes[clampToBoxes(this.boxes, this.position, this.position)];
+      const box = this.standingBox();
       this.height = Math.min(this.height, box[1][1] - box[0][1]);
       this.position[1] = box[0][1] + this.height;
       clampToBoxes([box], this.position, this.position);
     }
     for (let a = 0; a < 3; a++) this.velocity[a] = seconds > 0 ? (this.position[a] - before[a]) / seconds : 0;
+  }
+
+  /** The box under the feet: nearest in the ground plane, then in height. Steps between floors are no obstacle. */
+  private standingBox(): Box {
+    let best = this.boxes[0];
+    let least = [Infinity, Infinity];
+    const gap = (box: Box, a: number): number => Math.max(box[0][a] - this.position[a], this.position[a] - box[1][a], 0);
+    for (const box of this.boxes) {
+      const key = [gap(box, 0) ** 2 + gap(box, 2) ** 2, gap(box, 1)];
+      if (key[0] < least[0] || (key[0] === least[0] && key[1] < least[1])) [best, least] = [box, key];
+    }
+    return best;
   }
 
   setFree(free: boolean): void {

@@ -17,7 +17,7 @@ import { findCell } from "../select/cells";
 import { cameraFrame, makeFrustum, setFrustum } from "../select/frustum";
 import { findInterval } from "../select/intervals";
 import { Selector, type Selection } from "../select/select";
-import { pagesOf } from "../stream/plan";
+import { ChunkPages } from "../stream/plan";
 
 export const PAGE_BYTES_CAP = 384 * 2 ** 20;
 const NEAR_M = 0.1;
@@ -65,6 +65,7 @@ export class Engine {
   private readonly geometry: Selector;
   private readonly frustum = makeFrustum();
   private readonly buffers = new Map<PlacementChunk, ChunkBuffers>();
+  private readonly chunkPages = new WeakMap<PlacementChunk, ChunkPages>();
   private cellLines: CellLines | null = null;
   private key = "";
   private readonly canvas: HTMLCanvasElement;
@@ -102,12 +103,12 @@ export class Engine {
     s.problemView = chunk && view >= 0 ? chunk.views[0] + view : null;
     s.hopeless = chunk !== null && view >= 0 && chunk.viewHopeless[view] !== 0;
     s.costBound = manifest.cost_model.per_frame + (chunk && view >= 0 ? chunk.viewCost[view] : manifest.worst_nonproblem);
-    s.needed = chunk ? pagesOf(chunk, list) : [];
+    s.needed = [];
     s.shown = [];
     for (const m of list) {
-      let resident = true;
-      for (let r = chunk!.impostorLayer[m]; r < chunk!.impostorLayer[m + 1]; r++) resident &&= this.pages.isResident(chunk!.layerPage[r]);
-      if (resident) s.shown.push(m);
+      const pages = this.pagesOf(chunk!).of(m);
+      s.needed.push(...pages);
+      if (pages.every((page) => this.pages.isResident(page))) s.shown.push(m);
     }
     s.waiting = (s.chunk >= 0 && !chunk) || s.shown.length < s.impostors;
     for (const page of s.needed) this.pages.touch(page);
@@ -117,6 +118,20 @@ export class Engine {
     this.geometry.setView(visible, null, []);
     this.layers.setShown(chunk && shown.length ? this.buffersOf(chunk) : null, shown);
     return true;
+  }
+
+  /** Pages that are likely to be needed, best first: this view, turning on the spot, the cell ahead. */
+  likelyPages(direction: ArrayLike<number>, ahead: ArrayLike<number>): Set<number> {
+    const { manifest, index } = this.placement;
+    const s = this.situation;
+    const out = new Set(s.needed);
+    const next = findCell(index, manifest, ahead);
+    for (const cell of next === s.cell ? [s.cell] : [s.cell, next]) {
+      const number = cell < 0 ? -1 : chunkOfCell(manifest, cell);
+      const chunk = number < 0 ? undefined : this.placement.residentChunk(number);
+      if (chunk) this.pagesOf(chunk).addCell(cell, direction, manifest.interval_edges, out);
+    }
+    return out;
   }
 
   /** Draws one frame into the canvas at its present size. */
@@ -202,6 +217,12 @@ export class Engine {
     renderer.setScissorTest(scissor !== null);
     if (scissor) renderer.setScissor(...scissor);
     if (level.ready) level.draw(view, selection.objects, selection.nObjects, this.drawn);
+  }
+
+  private pagesOf(chunk: PlacementChunk): ChunkPages {
+    let pages = this.chunkPages.get(chunk);
+    if (!pages) this.chunkPages.set(chunk, (pages = new ChunkPages(chunk)));
+    return pages;
   }
 
   private buffersOf(chunk: PlacementChunk): ChunkBuffers {
