@@ -132,7 +132,8 @@ export interface Scene {
   calls?: number;
   meshes?: number;
   bounds?: Box;
-  textures?: { bytes: number }[];
+  materials?: number;
+  textures?: number;
   dropped_triangles?: number;
   suggested?: Suggestion;
 }

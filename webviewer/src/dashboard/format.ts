@@ -60,6 +60,11 @@ export function bearing(direction: ArrayLike<number>): number {
   return (Math.round(degrees) + 360) % 360;
 }
 
+/** Joins what is there into sentences. */
+export function sentences(...parts: (string | null | undefined)[]): string {
+  return parts.filter(Boolean).map((p) => (/[.!?…]$/.test(p!) ? p! : `${p!}.`)).join(" ");
+}
+
 export interface BudgetParts {
   amount: number;
   unit: "ms" | "calls" | "triangles";

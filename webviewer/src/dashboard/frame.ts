@@ -6,7 +6,7 @@ import { explain, readSession, Refused, signIn, signOut } from "../api/client";
 import type { Session } from "../api/types";
 import { applyTheme, toggleTheme } from "../ui/theme";
 import { h, s } from "./element";
-import { clock } from "./format";
+import { clock, sentences } from "./format";
 import { icon, stateMark } from "./icons";
 
 export const main = document.getElementById("main") as HTMLElement;
@@ -59,9 +59,10 @@ function askForKey(): Promise<Session> {
   return new Promise((resolve) => {
     const input = h("input", { id: "key", type: "password", autocomplete: "current-password", spellcheck: "false", required: true, "aria-describedby": "key-help" });
     const says = h("div", { role: "alert" });
+    const user = h("input", { type: "text", autocomplete: "username", hidden: true, value: "api-key", "aria-hidden": "true", tabindex: "-1" });
     const form = h("form", { class: "sign panel", "aria-labelledby": "sign-h" },
       h("header", null, h("h1", { id: "sign-h" }, "Sign in")),
-      h("label", { for: "key" }, "API key"), input,
+      user, h("label", { for: "key" }, "API key"), input,
       h("p", { id: "key-help", class: "small q2" }, "It was printed when the service first started, and lies in the file ", h("code", null, "api-key"), " of its data folder. It is sent once, for a cookie that no script can read."),
       says, h("button", { class: "btn primary" }, "Sign in"));
     form.addEventListener("submit", (event) => {
@@ -91,7 +92,7 @@ export function note(kind: string, shape: string, title: string, text: string | 
 export function failed(where: Element, error: unknown, title: string, retry?: () => void): void {
   const { text, advice } = explain(error);
   const again = retry ? [h("button", { type: "button", onclick: retry }, "Try again")] : [];
-  where.replaceChildren(h("div", { role: "alert" }, note("bad", "fail", title, [text, advice].filter(Boolean).join(" "), ...again)));
+  where.replaceChildren(h("div", { role: "alert" }, note("bad", "fail", title, sentences(text, advice), ...again)));
 }
 
 /** Grey rows of the final size in an empty page, never before 300 ms. */

@@ -4,7 +4,7 @@ import type { JobDetail } from "../api/types";
 import { cost as costText, count } from "../ui/format";
 import { h, refill } from "./element";
 import { historyOf, type Estimate, type History } from "./estimate";
-import { ago, duration, metres, plural, shortId } from "./format";
+import { ago, duration, metres, plural, sentences, shortId } from "./format";
 import { jobMark, stateMark, verdictMark } from "./icons";
 import { progressBar, timeLeftText } from "./job_row";
 import type { Report } from "./report_types";
@@ -66,7 +66,7 @@ function verdictOf(job: JobDetail, report: Report | null): Told {
   if (job.state === "failed") {
     const error = job.error ?? {};
     const where = error.stage ? `${error.stage} failed` : "failed";
-    return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(error.message ?? "The job failed."), " ", error.advice ?? "", " What was computed before is kept."] };
+    return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(sentences(error.message ?? "The job failed")), " ", sentences(error.advice, "What was computed before is kept")] };
   }
   if (job.state === "cancelled") return { kind: "", mark: () => stateMark("idle", "cancel", "Cancelled"), text: () => ["What was computed is kept; a new job with the same scene and settings goes on from there."] };
   if (job.verdict === null) {

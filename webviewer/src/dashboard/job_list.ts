@@ -1,5 +1,5 @@
 /** The list of jobs: read in pages, kept fresh while anything runs, filtered in the address. */
-import { cancelJob, explain, listJobs, readJob, readReport } from "../api/client";
+import { cancelJob, explain, listJobs, readJob, readReport, Refused } from "../api/client";
 import type { Job } from "../api/types";
 import { h, refill } from "./element";
 import { historyOf, Ratchet, type History } from "./estimate";
@@ -89,7 +89,9 @@ export class JobList {
       this.says.replaceChildren();
       this.draw();
     } catch (error) {
+      if (error instanceof Refused && error.status === 401) location.reload(); // the session is over: sign in again
       this.lostAtMs ||= Date.now();
+      this.says.className = this.loaded ? "toast" : "";
       showLine(false, this.lostAtMs);
       loading?.stop();
       if (!this.loaded) failed(this.says, error, "The jobs cannot be read", () => this.refresh());

@@ -1,5 +1,5 @@
 /** /jobs/ID: where a job stands, live; once it is done its verdict, map and hopeless views. */
-import { cancelJob, explain, readEvents, readJob, readReport, readShards } from "../api/client";
+import { cancelJob, explain, findScene, readEvents, readJob, readObjects, readReport, readShards } from "../api/client";
 import { EventStream, type Line } from "../api/event_stream";
 import type { JobDetail, JobEvent } from "../api/types";
 import { estimate, Ratchet, type History } from "./estimate";
@@ -11,8 +11,9 @@ import { drawHead, readHistories } from "./job_head";
 import { addHistory, apply, emptyState, setShards } from "./job_state";
 import { LogDrawer } from "./log_drawer";
 import type { Report } from "./report_types";
+import { scenePlan } from "./scene_plan";
 import { ShardGrid } from "./shard_grid";
-import { StageStrip } from "./stage_strip";
+import { grown, StageStrip } from "./stage_strip";
 import { readMap, ViewMap } from "./view_map";
 
 const LOG_EVENTS = 500; // of the past, read for the log
@@ -37,7 +38,7 @@ async function start(): Promise<void> {
     log.filter(stage);
   });
   const head = h("div");
-  const says = h("div", { role: "status" });
+  const says = h("div", { role: "status", class: "toast" });
   const left = h("div", { class: "col" });
   const two = h("div", { class: "two" }, left, h("div", { class: "col" }, grid.element));
   const below = h("div");
@@ -46,9 +47,10 @@ async function start(): Promise<void> {
 
   const ended = (): boolean => !["queued", "running"].includes(job.state);
   const draw = (): void => {
-    const found = estimate(job.stages, histories);
+    const stages = ended() ? job.stages : grown(job.stages, readAtMs);
+    const found = estimate(stages, histories);
     drawHead(head, job, report, { ...found, fraction: ratchet.at(id, found.fraction) }, () => void cancel());
-    strip.show(job.stages, readAtMs, !ended());
+    strip.show(stages);
   };
 
   async function cancel(): Promise<void> {
@@ -91,7 +93,6 @@ async function start(): Promise<void> {
     } catch (error) {
       says.replaceChildren(note("bad", "fail", "The result cannot be read", explain(error).text));
     }
-    left.hidden = !left.childElementCount;
   }
 
   async function readAllShards(): Promise<void> {
@@ -99,8 +100,8 @@ async function start(): Promise<void> {
     grid.draw();
   }
 
-  left.hidden = true;
   draw();
+  void drawPlan(job, left);
   onKey("l", () => log.toggle());
   for (let k = 1; k <= 9; k++) onKey(String(k), () => strip.pick(k - 1));
   await readAllShards();
@@ -127,6 +128,18 @@ async function start(): Promise<void> {
     grid.changed();
   }, TICK_MS);
   addEventListener("pagehide", () => stream.close());
+}
+
+/** Until the cells are known: what the level is from above, and where the camera may be. */
+async function drawPlan(job: JobDetail, where: HTMLElement): Promise<void> {
+  if (job.state === "done") return;
+  const scene = await findScene(job.scene).catch(() => null);
+  const boxes = job.settings.view_space?.boxes ?? scene?.suggested?.view_space.boxes;
+  if (!scene?.bounds || !boxes || where.childElementCount) return;
+  const { objects } = await readObjects(job.scene).catch(() => ({ objects: [] }));
+  if (where.childElementCount) return;
+  where.append(h("section", { class: "panel", "aria-labelledby": "ph" }, h("header", null, h("h2", { id: "ph" }, "View space from above"), h("span", { class: "small q" }, "cells are coloured once the job is done")),
+    h("div", { class: "map" }, scenePlan(objects.map((o) => o.box), scene.bounds, boxes)), h("p", { class: "small q2" }, "dashed: where the camera may be")));
 }
 
 /** Counts of the running stage move with each shard, without asking again. */

@@ -3,6 +3,7 @@
  * snapshot, each says what is so and not what has changed.
  */
 import type { JobEvent, ShardKind, ShardRow, ShardState } from "../api/types";
+import { sentences } from "./format";
 
 export interface Shard {
   state: ShardState;
@@ -115,7 +116,7 @@ const KIND_WORD: Record<ShardKind, string> = { run: "", plan: "plan", merge: "me
 export function lineOf(event: JobEvent): LogLine {
   const d = event.data;
   const line: LogLine = { seq: event.seq, atMs: Date.parse(event.at), level: "info", stage: d.stage ?? "", who: "job", text: d.state ?? event.kind };
-  const why = d.error ? [d.error.message, d.error.advice].filter(Boolean).join(" ") : "";
+  const why = sentences(d.error?.message, d.error?.advice);
   if (event.kind === "shard") {
     line.who = `${d.stage ?? ""} ${d.kind && d.kind !== "run" ? KIND_WORD[d.kind] : String((d.ordinal ?? 0) + 1)}`;
     if (d.state === "running") line.text = (d.attempt ?? 1) > 1 ? `attempt ${d.attempt}` : "started";

@@ -5,7 +5,7 @@ import type { Scene } from "../api/types";
 import { uploadScene, type UploadStep } from "../api/upload";
 import { bytes, count } from "../ui/format";
 import { h } from "./element";
-import { duration, metres, plural } from "./format";
+import { duration, metres, plural, sentences } from "./format";
 import { note, onKey } from "./frame";
 import { progressBar } from "./job_row";
 import { icon, stateMark } from "./icons";
@@ -120,7 +120,7 @@ export class NewJob {
     const { text, advice } = explain(error);
     const title = error instanceof Refused ? `${name}: ${error.code}` : name;
     const again = h("button", { type: "button", onclick: () => this.input.click() }, "Choose another file");
-    this.preview.replaceChildren(h("div", { role: "alert" }, note("bad", "fail", title, `${text}. Nothing was stored. ${advice}`.replace("..", "."), again)));
+    this.preview.replaceChildren(h("div", { role: "alert" }, note("bad", "fail", title, sentences(text, "Nothing was stored.", advice), again)));
   }
 
   private show(scene: Scene, base: Settings): void {
@@ -144,7 +144,7 @@ export class NewJob {
         if (error instanceof Refused) attempt++;
         start.disabled = false;
         const { text, advice } = explain(error);
-        if (!(error instanceof Refused && error.key && form.mark(error.key, text))) says.replaceChildren(note("bad", "fail", "Not started", `${text}. ${advice}`));
+        if (!(error instanceof Refused && error.key && form.mark(error.key, text))) says.replaceChildren(note("bad", "fail", "Not started", sentences(text, advice)));
       }
     };
     const plan = h("div");
@@ -182,7 +182,7 @@ function facts(scene: Scene): HTMLElement {
     const [a, b] = scene.bounds;
     rows.push(["Bounds", `${[0, 1, 2].map((k) => metres(b[k] - a[k])).join(" × ")} m`]);
   }
-  if (scene.textures?.length) rows.push(["Textures", `${count(scene.textures.length)}, ${bytes(scene.textures.reduce((sum, t) => sum + t.bytes, 0))}`]);
+  if (scene.materials !== undefined) rows.push(["Materials", `${count(scene.materials)}${scene.textures ? `, ${plural(scene.textures, "texture")}` : ""}`]);
   rows.push(["File", bytes(scene.bytes)]);
   return h("dl", { class: "kv" }, ...rows.flatMap(([k, v]) => [h("dt", null, k), h("dd", null, v)]));
 }

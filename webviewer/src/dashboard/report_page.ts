@@ -30,8 +30,8 @@ async function start(): Promise<void> {
   document.title = `Report: ${title} · farfield`;
   const map = h("div");
   const hopeless = h("div");
-  main.replaceChildren(head(job, title, report), certificate(report, item), ...[figures(report), stagesTable(report)].filter((p) => p !== null), map, hopeless,
-    ...[worstViews(report, item), notes(report)].filter((p) => p !== null));
+  const beside = (a: HTMLElement | null, b: HTMLElement | null): HTMLElement => h("div", { class: "two" }, a, b);
+  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), hopeless, notes(report) ?? "");
   // The map needs the placement's own files; without them the report stands as it is.
   const drawn = await readMap(item, report).then((data) => new ViewMap(data, item), () => null);
   if (drawn) {

@@ -3,7 +3,7 @@ import { bytes, cost as costText, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
 import { csv, download, type Cell } from "./csv";
 import { h } from "./element";
-import { bearing, duration, metres, plural } from "./format";
+import { bearing, duration, plural } from "./format";
 import { compass } from "./hopeless";
 import { icon, verdictMark } from "./icons";
 import type { Report } from "./report_types";
@@ -76,7 +76,7 @@ export function figures(report: Report): HTMLElement | null {
     ["Objects", "what a placement may replace", report.objects, "count"],
     ["Triangles", "", report.triangles, "count"],
     ["View-space cells", "leaves of the view-space tree", report.cells, "count"],
-    ["Problem views", "pairs of cell and direction interval over budget as plain geometry", report.problem_views, "count"],
+    ["Problem views", "cell and direction over budget as geometry", report.problem_views, "count"],
     ["Hopeless views", "over budget with any impostor", report.hopeless_views, "count"],
     ["Candidates", "impostors that were weighed", report.candidates, "count"],
     ["Impostors", "chosen and baked", report.impostors, "count"],
@@ -90,7 +90,7 @@ export function figures(report: Report): HTMLElement | null {
   const there = rows.filter(([, , value]) => known(value));
   if (!there.length) return null;
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Figures"), h("tbody", null, ...there.map(([name, hint, value, kind]) =>
-    h("tr", null, h("th", { scope: "row" }, name), h("td", { class: "q2" }, hint), h("td", { class: "r nw" }, kind === "bytes" ? bytes(value!) : count(value!))))));
+    h("tr", null, h("th", { scope: "row" }, name, hint ? h("small", { class: "q" }, hint) : null), h("td", { class: "r nw" }, kind === "bytes" ? bytes(value!) : count(value!))))));
   return part("fig-h", "Figures", "", csvButton("figures", ["figure", "value"], () => there.map(([name, , value]) => [name, value!])), h("div", { class: "scroll" }, table));
 }
 
@@ -117,11 +117,11 @@ export function worstViews(report: Report, placement: string): HTMLElement | nul
   if (!views.length) return null;
   const unit = report.unit ?? "";
   const budget = report.budget_amount ?? Infinity;
-  const rows = views.map((v) => h("tr", null, h("td", { class: "c-dir" }, compass(v.direction)), h("td", { class: "mono nw c-cell" }, `${v.cell} · ${bearing(v.direction)}°`), h("td", { class: "nw q2 c-geo" }, v.position.map(metres).join(", ")),
-    h("td", { class: "r nw c-geo" }, costText(v.geometry_cost, unit)), h("td", { class: "r nw" }, h("b", v.cost_bound > budget ? { class: "over" } : null, costText(v.cost_bound, unit)), v.hopeless ? h("span", { class: "q" }, " hopeless") : null),
-    h("td", { class: "r c-geo" }, count(v.impostors)), h("td", { class: "r c-open noprint" }, h("a", { class: "nw", href: viewAddress(placement, v.position, v.direction) }, "Open view"))));
+  const rows = views.map((v) => h("tr", null, h("td", { class: "c-dir" }, compass(v.direction)), h("td", { class: "mono nw c-cell" }, `${v.cell} · ${bearing(v.direction)}°`),
+    h("td", { class: "r nw c-geo" }, costText(v.geometry_cost, unit)), h("td", { class: "r nw" }, h("b", v.cost_bound > budget ? { class: "over" } : null, costText(v.cost_bound, unit)), v.hopeless ? h("small", { class: "q", title: "hopeless" }, " hopeless") : null),
+    h("td", { class: "r c-open noprint" }, h("a", { class: "nw", href: viewAddress(placement, v.position, v.direction) }, "Open"))));
   const table = h("table", { class: "num ht" }, h("caption", { class: "sr" }, "Views with the highest bound"),
-    h("thead", null, h("tr", null, h("th", null, h("span", { class: "sr" }, "Direction")), h("th", null, "Cell"), h("th", null, "Position, m"), h("th", { class: "r" }, "Geometry"), h("th", { class: "r" }, "As placed"), h("th", { class: "r" }, "Impostors"), h("th", { class: "noprint" }, h("span", { class: "sr" }, "Viewer")))), h("tbody", null, ...rows));
+    h("thead", null, h("tr", null, h("th", null, h("span", { class: "sr" }, "Direction")), h("th", null, "Cell"), h("th", { class: "r" }, "Geometry"), h("th", { class: "r" }, "As placed"), h("th", { class: "noprint" }, h("span", { class: "sr" }, "Viewer")))), h("tbody", null, ...rows));
   const button = csvButton("worst-views", ["problem_view", "cell", "interval", "x_m", "y_m", "z_m", "direction_x", "direction_y", "direction_z", `geometry_${unit}`, `bound_${unit}`, "impostors", "hopeless"],
     () => views.map((v) => [v.problem_view, v.cell, v.interval, ...v.position, ...v.direction, v.geometry_cost, v.cost_bound, v.impostors, v.hopeless ? 1 : 0]));
   return part("wv-h", "Worst views", "highest bound on the cost, as placed", button, h("div", { class: "scroll" }, table));

@@ -16,9 +16,8 @@ export class StageStrip {
     this.element.append(this.list, this.reasons);
   }
 
-  /** `sinceMs`: when the seconds were read; stages that run go on counting. */
-  show(stages: readonly StageRow[], sinceMs: number, live: boolean): void {
-    const seconds = stages.map((s) => secondsOf(s, sinceMs, live));
+  show(stages: readonly StageRow[]): void {
+    const seconds = stages.map((s) => s.seconds ?? 0);
     const longest = Math.max(...seconds, 1e-3);
     stages.forEach((stage, k) => {
       let item = this.items.get(stage.name);
@@ -30,7 +29,7 @@ export class StageStrip {
       const running = icon0(stage) === "run";
       item.className = stage.state === "failed" ? "bad" : icon0(stage) === "skip" ? "skipd" : running ? "now" : "";
       const button = item.firstElementChild!;
-      refill(button, JSON.stringify([stage, running ? Math.round(seconds[k] * 2) : 0, longest]), () => content(stage, seconds[k], longest));
+      refill(button, JSON.stringify([stage, longest]), () => content(stage, seconds[k], longest));
     });
     const skipped = stages.filter((s) => s.skipped);
     refill(this.reasons, JSON.stringify(skipped.map((s) => s.skipped)), () =>
@@ -57,9 +56,10 @@ export class StageStrip {
 
 const icon0 = (s: StageRow): string => stageIcon(s.state, s.skipped);
 
-function secondsOf(stage: StageRow, sinceMs: number, live: boolean): number {
-  const running = live && icon0(stage) === "run" && stage.seconds !== null;
-  return (stage.seconds ?? 0) + (running ? Math.max(0, Date.now() - sinceMs) / 1000 : 0);
+/** Stages as they are now: the seconds of what runs have gone on since they were read. */
+export function grown(stages: readonly StageRow[], readAtMs: number): StageRow[] {
+  const since = Math.max(0, Date.now() - readAtMs) / 1000;
+  return stages.map((s) => (s.seconds !== null && icon0(s) === "run" ? { ...s, seconds: s.seconds + since } : s));
 }
 
 function content(stage: StageRow, seconds: number, longest: number): Node[] {
