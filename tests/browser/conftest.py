@@ -25,7 +25,7 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
-@pytest.fixture()
+@pytest.fixture
 def open_page(browser: Any) -> Iterator[Callable[..., tuple[Any, list[str]]]]:
     """Return a function: size -> (page, list of console errors, exceptions and policy violations, live)."""
     pages = []

@@ -1,6 +1,7 @@
 """A scene.glb for tests: one box an object, its id in extras, as `farfield place` writes it but by hand."""
 
 import hashlib
+import itertools
 import json
 import struct
 from pathlib import Path
@@ -57,8 +58,7 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
             {"bufferView": 2, "componentType": 5123, "count": 36, "type": "SCALAR"},
         ],
         "bufferViews": [
-            {"buffer": 0, "byteOffset": int(a), "byteLength": int(b - a)}
-            for a, b in zip(starts, starts[1:], strict=False)
+            {"buffer": 0, "byteOffset": int(a), "byteLength": int(b - a)} for a, b in itertools.pairwise(starts)
         ],
         "buffers": [{"byteLength": int(starts[-1])}],
     }

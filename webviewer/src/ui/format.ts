@@ -23,3 +23,10 @@ export function bytes(n: number): string {
 export function cost(n: number, unit: string): string {
   return unit === "ns" ? `${(n / 1e6).toFixed(1)} ms` : `${count(n)} ${unit}`;
 }
+
+/** A tick of an axis, at most five characters: "1,300", "100k", "1.8M". */
+export function tick(n: number): string {
+  if (n >= 1e6) return `${(n / 1e6).toFixed(n < 1e7 ? 1 : 0)}M`;
+  if (n >= 1e4) return `${Math.round(n / 1e3)}k`;
+  return n < 10 && n % 1 ? n.toFixed(1) : count(n);
+}

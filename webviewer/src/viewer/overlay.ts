@@ -5,7 +5,7 @@ import { intervalName } from "../select/intervals";
 import type { Traffic } from "../stream/files";
 import type { Streamer } from "../stream/streamer";
 import { byId, setShown, setText } from "../ui/dom";
-import { bytes, cost, count, short } from "../ui/format";
+import { bytes, cost, count, short, tick } from "../ui/format";
 import type { Engine } from "./engine";
 import { FRAMES_KEPT, type FrameClock } from "./frame_clock";
 import { DIRECTIONS, type Panorama } from "./panorama";
@@ -50,7 +50,7 @@ export class Overlay {
     setText("calls", count(engine.drawn.calls));
     setText("triangles", short(engine.drawn.triangles));
     setText("resident", ((pages.residentPages * pages.bytesPerPage) / 1e6).toFixed(1));
-    setText("resident-of", `of ${((pages.slots * pages.bytesPerPage) / 1e6).toFixed(0)} MB`);
+    setText("resident-of", `of ${((Math.min(pages.slots, manifest.pages.length) * pages.bytesPerPage) / 1e6).toFixed(0)} MB`);
     setText("cell", s.cell < 0 ? "outside" : String(s.cell));
     setText("interval", intervalName(s.interval, manifest.interval_edges.length - 1));
     setText("impostors", s.shown.length === s.impostors ? String(s.impostors) : `${s.shown.length} of ${s.impostors}`);
@@ -118,9 +118,9 @@ export class Overlay {
     let late = "";
     for (let k = 0; k < n; k++) if (clock.late[at(k)]) late += `M${x(k).toFixed(1)} 6v7`;
     byId("plot-late").setAttribute("d", late);
-    setText("plot-top", short(top));
+    setText("plot-top", tick(top));
     byId("plot-label").setAttribute("y", String(y(limit) + 4));
-    setText("plot-label", time ? limit.toFixed(0) : short(limit));
+    setText("plot-label", tick(limit));
   }
 
   writePanorama(panorama: Panorama, yaw: number): void {
@@ -137,7 +137,7 @@ export class Overlay {
     byId("around-cost").setAttribute("d", path(panorama.cost));
     byId("around-geometry").setAttribute("d", path(panorama.geometryCost));
     byId("around-budget").setAttribute("d", `M${LEFT} ${y(budget.amount)}H${RIGHT}`);
-    setText("around-top", budget.unit === "ns" ? (top / 1e6).toFixed(0) : short(top));
+    setText("around-top", tick(budget.unit === "ns" ? top / 1e6 : top));
     const group = byId<SVGGElement>("around-problem");
     const marks = Array.from(panorama.problem, (p, k) => (p ? `M${(x(k) - 1.77).toFixed(1)} 6h3.53v60h-3.53z` : "")).join("");
     if (!group.firstChild) group.append(document.createElementNS("http://www.w3.org/2000/svg", "path"));
