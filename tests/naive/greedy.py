@@ -102,6 +102,14 @@ def reaches(hierarchy, views, candidates, chosen, target):
     return True
 
 
+def lightest_bytes(hierarchy, views, candidates, target):
+    """Return the least bytes of any set of candidates that reaches every target, by trying all sets."""
+    n = len(candidates.cluster)
+    sizes = [int(b) for b in candidates.bytes]
+    sets = sorted((sum(sizes[i] for i in s), s) for k in range(n + 1) for s in combinations(range(n), k))
+    return next(total for total, s in sets if reaches(hierarchy, views, candidates, s, target))
+
+
 def view_costs(hierarchy, views, cluster, cost, serve_row, serve):
     """Return the cost of each view by walking over its objects and over what it shows."""
     total = np.zeros(len(views.cell), dtype=np.int64)

@@ -34,5 +34,5 @@ def evaluate(
         if (start[1:] < stop[:-1]).any():
             raise StageFailed(Stage.PLACEMENT, f"problem view {v} shows two impostors of one object")
         replaced = until[np.searchsorted(objects, stop)] - until[np.searchsorted(objects, start)]
-        total[v] = views.cost[v] - replaced.sum() + cost[shown].sum()
+        total[v] = until[-1] - replaced.sum() + cost[shown].sum()
     return total

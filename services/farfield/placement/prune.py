@@ -5,6 +5,8 @@ Problem  The greedy and the rescue leave impostors whose work others do by now. 
 Method   Try impostors by bytes per view that uses them, largest first. Without one, only views whose best antichain
          shows it can change; compute those again without it, and keep it at the first that misses its target. One
          pass is enough: what is needed now is needed of any smaller set. Afterwards each impostor is indispensable.
+Tried    Other orders, a made-up city of 2,922 views, 36.5 MB before: by bytes alone 32.32 MB, by bytes per use 32.41,
+         per cost saved 32.38, per use in `least` 32.38, last chosen first 32.34. The order hardly matters.
 """
 
 from fractions import Fraction

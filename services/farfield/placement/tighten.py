@@ -5,6 +5,9 @@ Problem  A candidate was fitted to every cell it could serve. Chosen beside othe
 Method   Needed is where the assignment `least` shows it: the fewest impostors that meet each target. Each view cell is
          fitted anew to those cells, and taken if neither bytes nor cost grew. It then serves only those cells, there
          saving at least what it did: every target stays met, and the assignment proper is decided afterwards.
+Tried    A town of 4,000 houses, 6,343 views, 20.6 MB before: to where `least` shows it 19.8 MB, to where `fastest` does
+         20.5 MB, once more after the first time 19.8 MB. Needed by the lightest antichain of cells not yet paid for,
+         neediest views first: 19.4 MB there, but 837 instead of 835 MB in a small town with a tight budget.
 """
 
 from collections.abc import Callable

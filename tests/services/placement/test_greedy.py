@@ -15,7 +15,7 @@ from naive import greedy as naive
 
 from .instances import flat_model, halving_refit, make_candidates, make_views, random_instance, random_tree, same_refit
 
-SEEDS = range(150)
+SEEDS = range(100)
 
 
 def placed(x, *, refit=None, assignment="fastest"):
