@@ -13,7 +13,7 @@ import { applyTheme } from "../ui/theme";
 import { App } from "./app";
 import { Engine } from "./engine";
 import { makeHook, type Hook } from "./hook";
-import { notice } from "./overlay";
+import { failure } from "./overlay";
 
 declare global {
   interface Window {
@@ -31,7 +31,7 @@ async function start(): Promise<App> {
   const gl = makeContext(canvas);
   canvas.addEventListener("webglcontextlost", (e) => {
     e.preventDefault();
-    notice("bad", "The graphics driver has reset", "What was in video memory is lost. Load the page again.");
+    failure("The graphics driver has reset", "What was in video memory is lost. Load the page again.");
   });
   const id = location.pathname.split("/").filter(Boolean).at(-1) ?? "";
   const base = `/v1/placements/${encodeURIComponent(decodeURIComponent(id))}/`;
@@ -79,14 +79,14 @@ function credit(text: string, id: string): void {
 function explain(error: unknown): void {
   setShown("loading", false);
   if (error instanceof NoWebGl2) {
-    notice("bad", "No WebGL 2", `${error.message} Another browser, or its setting for hardware acceleration, may help.`);
+    failure("No WebGL 2", `${error.message} Another browser, or its setting for hardware acceleration, may help.`);
   } else if (error instanceof AccessDenied) {
-    notice("bad", "Not signed in", error.message);
+    failure("Not signed in", error.message);
   } else if (error instanceof PlacementFileError) {
     const missing = error instanceof PlacementFileMissing && error.where === "manifest.json";
-    notice("bad", missing ? "No placement here" : "Placement damaged", `${error.message} ${error.advice}`);
+    failure(missing ? "No placement here" : "Placement damaged", `${error.message} ${error.advice}`);
   } else {
-    notice("bad", "The viewer cannot start", error instanceof Error ? error.message : String(error));
+    failure("The viewer cannot start", error instanceof Error ? error.message : String(error));
   }
   for (const element of document.querySelectorAll<HTMLElement>(".overlay, .h-bar")) element.hidden = true;
 }

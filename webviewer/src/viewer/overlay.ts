@@ -88,7 +88,7 @@ export class Overlay {
       const [first] = streamer.damaged.values();
       const more = streamer.damaged.size > 1 ? ` ${streamer.damaged.size - 1} more files likewise.` : "";
       notice("bad", "Placement damaged", `${first}${more} What it holds is drawn as geometry. Fetch or place the level again.`);
-    } else {
+    } else if (!failed) {
       setShown("notice", false);
     }
   }
@@ -168,8 +168,17 @@ export class Overlay {
   }
 }
 
+let failed = false;
+
+/** A note that stays: the viewer cannot go on, and what it writes about streaming must not cover that up. */
+export function failure(title: string, text: string): void {
+  notice("bad", title, text);
+  failed = true;
+}
+
 /** The note above the toolbar; kind as in the stylesheet ("inf" warns, "bad" fails). */
-export function notice(kind: "inf" | "bad", title: string, text: string): void {
+function notice(kind: "inf" | "bad", title: string, text: string): void {
+  if (failed) return;
   byId("notice-box").className = `note ${kind}`;
   setText("notice-title", title);
   setText("notice-text", text);
