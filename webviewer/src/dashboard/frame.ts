@@ -111,7 +111,7 @@ export function skeleton(rows: number, where: Element = main): { stop: () => voi
 
 const actions = new Map<string, (event: KeyboardEvent) => void>();
 
-/** Calls `act` for a key that is not typed into a field; `Escape` also there. */
+/** Calls `act` for a key that is not typed into a field; `Escape` also there, and the arrow that leads out of a search. */
 export function onKey(key: string, act: (event: KeyboardEvent) => void): void {
   actions.set(key, act);
 }
@@ -127,7 +127,8 @@ function listen(keys: [string, string][]): void {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const typing = event.target instanceof HTMLElement && event.target.matches("input:not([type=radio]):not([type=checkbox]), textarea, select");
-    if (typing && event.key !== "Escape") return;
+    const leaves = event.key === "Escape" || ((event.target as HTMLInputElement).type === "search" && event.key === "ArrowDown");
+    if (typing && !leaves) return;
     if (document.querySelector("dialog[open]") && event.key !== "?") return;
     const act = actions.get(event.key.length === 1 ? event.key.toLowerCase() : event.key);
     if (!act) return;

@@ -3,7 +3,7 @@ import { cancelJob, explain, listJobs, readJob, readReport, Refused } from "../a
 import type { Job } from "../api/types";
 import { h, refill } from "./element";
 import { historyOf, Ratchet, type History } from "./estimate";
-import { confirmed, failed, note, onKey, showLine, skeleton } from "./frame";
+import { confirmed, failed, note, onKey, showLine } from "./frame";
 import { COLUMNS, fillRow, makeRow, type Figures, type RowData } from "./job_row";
 
 const BUSY_MS = 1500;
@@ -59,21 +59,20 @@ export class JobList {
     onKey("ArrowDown", (e) => this.step(e, 1));
     onKey("ArrowUp", (e) => this.step(e, -1));
     onKey("Escape", () => document.activeElement === this.search && this.clear());
-    document.addEventListener("visibilitychange", () => !document.hidden && this.refresh());
+    document.addEventListener("visibilitychange", () => !document.hidden && void this.refresh());
   }
 
-  /** Reads the newest page now, and again from time to time. */
-  refresh(): void {
+  /** Reads the newest page now, and again from time to time; resolves once it is drawn. */
+  refresh(): Promise<void> {
     clearTimeout(this.timer);
-    void this.read().finally(() => {
+    return this.read().finally(() => {
       clearTimeout(this.timer);
       const busy = [...this.rows.values()].some((r) => STATES.active(r.data.job));
-      this.timer = setTimeout(() => (document.hidden ? (this.timer = undefined) : this.refresh()), busy || this.lostAtMs ? BUSY_MS : IDLE_MS);
+      this.timer = setTimeout(() => (document.hidden ? (this.timer = undefined) : void this.refresh()), busy || this.lostAtMs ? BUSY_MS : IDLE_MS);
     });
   }
 
   private async read(): Promise<void> {
-    const loading = this.loaded ? null : skeleton(5, this.below);
     try {
       const page = await listJobs({ limit: PAGE });
       const known = new Set(this.order);
@@ -93,14 +92,11 @@ export class JobList {
       this.lostAtMs ||= Date.now();
       this.says.className = this.loaded ? "toast" : "";
       showLine(false, this.lostAtMs);
-      loading?.stop();
-      if (!this.loaded) failed(this.says, error, "The jobs cannot be read", () => this.refresh());
+      if (!this.loaded) failed(this.says, error, "The jobs cannot be read", () => void this.refresh());
       else {
         const told = `Not live: ${explain(error).text}`;
         refill(this.says, told, () => [note("inf", "infeas", told, `What you see was read before. Trying again every ${BUSY_MS / 1000} s; nothing is lost.`)]);
       }
-    } finally {
-      loading?.stop();
     }
   }
 
@@ -207,7 +203,7 @@ export class JobList {
     const yes = await confirmed(`Cancel ${job.name}?`, "What is computed so far is kept, and a new job with the same scene and settings starts from there.", "Cancel the job", "Let it run");
     if (!yes) return;
     await cancelJob(job.id).catch((error: unknown) => failed(this.says, error, "The job could not be cancelled"));
-    this.refresh();
+    void this.refresh();
   }
 
   private filter(): { words: string[]; state: StateFilter } {
@@ -240,7 +236,7 @@ export class JobList {
   }
 
   private step(event: KeyboardEvent, by: number): void {
-    if (event.target instanceof HTMLInputElement) return;
+    if (event.target instanceof HTMLInputElement && event.target.type === "radio") return; // arrows choose there
     const links = [...this.body.querySelectorAll<HTMLAnchorElement>(".scene a")];
     if (!links.length) return;
     const at = links.findIndex((a) => a.closest("tr")!.contains(document.activeElement));

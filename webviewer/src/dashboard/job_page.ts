@@ -32,7 +32,7 @@ async function start(): Promise<void> {
   const state = emptyState();
   const ratchet = new Ratchet();
   const grid = new ShardGrid(state);
-  const log = new LogDrawer(state, job.name);
+  const log = new LogDrawer(state, job.name, job.stages.map((s) => s.name));
   const strip = new StageStrip((stage) => {
     grid.filter(stage);
     log.filter(stage);
@@ -113,6 +113,8 @@ async function start(): Promise<void> {
   else histories = await readHistories(id).catch(() => []);
   draw();
 
+  let lost = false;
+  let seenLost = false;
   const stream = new EventStream(id, job.last_event, {
     event: (event: JobEvent) => {
       if (apply(state, event)) reread();
@@ -120,10 +122,15 @@ async function start(): Promise<void> {
       grid.changed();
       log.changed();
     },
-    line: (line: Line) => told(line, says, () => stream.retryNow()),
+    line: (line: Line) => {
+      lost = line.state === "lost";
+      if (line.state === "live" && seenLost) reread();
+      seenLost ||= lost;
+      told(line, says, () => stream.retryNow());
+    },
   });
   setInterval(() => {
-    if (ended()) return;
+    if (ended() || lost) return; // what is dated stands still
     draw();
     grid.changed();
   }, TICK_MS);

@@ -18,7 +18,8 @@ export class LogDrawer {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private scrolling = false;
 
-  constructor(private readonly state: JobState, private readonly name: string) {
+  constructor(private readonly state: JobState, private readonly name: string, stages: readonly string[]) {
+    this.select.append(...stages.map((stage) => h("option", { value: stage }, stage)));
     const seg = h("div", { class: "seg", role: "radiogroup", "aria-label": "Level" });
     for (const [value, word] of [["info", "all"], ["warn", "warnings"], ["error", "errors"]]) {
       const input = h("input", { type: "radio", name: "level", value, checked: value === "info", onchange: () => this.draw() });
@@ -41,19 +42,12 @@ export class LogDrawer {
   }
 
   filter(stage: string | null): void {
-    this.stages();
     this.select.value = stage ?? "";
     this.draw();
   }
 
   changed(): void {
     this.timer ??= setTimeout(() => this.draw(), REDRAW_MS);
-  }
-
-  private stages(): void {
-    const found = [...new Set(this.state.log.map((l) => l.stage).filter(Boolean))];
-    const known = new Set([...this.select.options].map((o) => o.value));
-    for (const stage of found) if (!known.has(stage)) this.select.append(h("option", { value: stage }, stage));
   }
 
   private shown(): LogLine[] {
@@ -67,7 +61,6 @@ export class LogDrawer {
     this.timer = undefined;
     const last = this.state.log.at(-1);
     this.last.textContent = last ? text(last) : "nothing yet";
-    this.stages();
     const count = (level: Level): number => this.state.log.filter((l) => l.level === level).length;
     this.levels[1].nextElementSibling!.textContent = `warnings ${count("warn") + count("error")}`;
     this.levels[2].nextElementSibling!.textContent = `errors ${count("error")}`;

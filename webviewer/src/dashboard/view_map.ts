@@ -93,7 +93,7 @@ export class ViewMap {
     const over = c.cost > this.data.budget;
     const fact = (name: string, value: string, kind = ""): HTMLElement => h("div", null, h("span", null, name), h("b", kind ? { class: kind } : null, value));
     this.pick.replaceChildren(fact("cell", String(c.cell), "mono"), fact("worst", costText(c.cost, this.data.unit), over ? "over" : "good"),
-      fact("problem views", c.views < 0 ? "—" : String(c.views)), fact("hopeless", String(c.hopeless)), h("a", { href: this.address(at) }, "Stand there in the viewer"));
+      fact("problem views", c.views < 0 ? "—" : String(c.views)), fact("hopeless", String(c.hopeless)), h("a", { class: "noprint", href: this.address(at) }, "Stand there in the viewer"));
   }
 
   private address(at: number): string {
