@@ -73,7 +73,7 @@ def pack_parts(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, 
     parts: list[bytes | memoryview] = [front, bytes(start - len(front))]
     for _, array in arrays:
         if array.nbytes:
-            parts += [memoryview(array.reshape(-1)).cast("B"), bytes(_aligned(array.nbytes) - array.nbytes)]
+            parts += [array.reshape(-1).view(np.uint8).data, bytes(_aligned(array.nbytes) - array.nbytes)]
     return parts
 
 
@@ -83,7 +83,9 @@ def unpack(buffer: Any, *, where: str = "buffer") -> tuple[str, dict[str, np.nda
     Raises NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered; each names `where`.
     """
     view = (
-        memoryview(buffer).cast("B") if not isinstance(buffer, np.ndarray) else memoryview(np.ascontiguousarray(buffer))
+        np.ascontiguousarray(buffer).view(np.uint8).data
+        if isinstance(buffer, np.ndarray)
+        else memoryview(buffer).cast("B")
     )
     if len(view) < 16 or bytes(view[:8]) != MAGIC:
         raise NotColumns(where)
@@ -173,6 +175,6 @@ def unpack_files(buffer: Any, *, where: str = "buffer") -> Iterable[tuple[str, m
     names = meta.get("names")
     if kind != "files" or not isinstance(names, list) or len(columns["row"]) != len(names) + 1:
         raise ColumnsAltered(where, "it is not a container of files")
-    data = memoryview(columns["data"])
+    data = columns["data"].data
     for name, start, stop in zip(names, columns["row"][:-1], columns["row"][1:], strict=True):
         yield name, data[int(start) : int(stop)]

@@ -112,6 +112,8 @@ class _Reader:
 
     def _check_head(self) -> None:
         asset = Json.table(self.document.get("asset"), "asset")
+        notice = asset.get("copyright", "")
+        self.scene.notice = notice[:2000] if isinstance(notice, str) else ""
         for key in ("version", "minVersion"):
             version = asset.get(key, "2.0")
             if (

@@ -43,6 +43,7 @@ class Level:
     textures: list[RawTexture]
     dropped_triangles: int
     warnings: list[str]
+    notice: str
 
     def mesh_triangles(self) -> np.ndarray:
         """(M+1,) int64: mesh m has triangles [m, m+1)."""
@@ -155,7 +156,7 @@ def _pack(raw: RawScene, used: set[int], offsets: dict[int, np.ndarray], warning
         primitive_material=np.array([p.material for p in primitives], dtype=np.int32), mesh_primitive=mesh_primitive,
         object_mesh=np.zeros(0, np.int32), object_matrix=np.zeros((0, 3, 4)), object_box=np.zeros((0, 2, 3)),
         object_name=[], materials=materials, textures=list(raw.textures), dropped_triangles=raw.dropped_triangles,
-        warnings=warnings,
+        warnings=warnings, notice=raw.notice,
     )  # fmt: skip
 
 

@@ -55,6 +55,7 @@ class Scene:
     # what was noticed
     dropped_triangles: int  # degenerate ones
     warnings: tuple[str, ...]
+    notice: str = ""  # the file's copyright and attribution, shown with its pictures and kept in scene.glb
 
     @property
     def n_objects(self) -> int:

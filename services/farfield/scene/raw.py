@@ -57,6 +57,7 @@ class RawScene:
     textures: list[RawTexture] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     dropped_triangles: int = 0
+    notice: str = ""  # copyright and attribution, to be shown with pictures
     default_double_sided: bool = False  # of primitives without a material
 
 

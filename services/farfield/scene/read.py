@@ -137,7 +137,7 @@ def _finish(level: Level, suggestion: Suggestion) -> Scene:
         texture_data=np.frombuffer(b"".join(i.data for i in images), dtype=np.uint8),
         texture_wrap=np.array([i.wrap for i in images], dtype=np.int32).reshape(-1, 2),
         texture_linear=np.array([i.linear for i in images], dtype=np.bool_),
-        dropped_triangles=level.dropped_triangles, warnings=tuple(level.warnings),
+        dropped_triangles=level.dropped_triangles, warnings=tuple(level.warnings), notice=level.notice,
     )  # fmt: skip
 
 

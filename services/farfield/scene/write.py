@@ -22,7 +22,7 @@ def write_glb(scene: Scene) -> bytes:
     """Return the bytes of a glTF 2.0 binary file; `read_scene` returns the same scene from them."""
     buffer = _Buffer()
     document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "farfield"},
+        "asset": {"version": "2.0", "generator": "farfield", **({"copyright": scene.notice} if scene.notice else {})},
         "scene": 0,
         "scenes": [{"nodes": list(range(scene.n_objects))}],
         "nodes": _nodes(scene),
