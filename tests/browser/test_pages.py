@@ -140,7 +140,7 @@ def test_the_pages_work_with_the_keyboard_alone(page, service):
     page.wait_for_selector("#new")
     page.keyboard.press("n")
     with page.expect_file_chooser() as chooser:
-        page.keyboard.press("Enter")
+        page.keyboard.press("Space")  # Enter opens it too, but headless Chromium misses one in eight
     chooser.value.set_files([level("keys.glb", shards=3)])
     page.wait_for_selector("text=Start job")
     assert page.evaluate("document.activeElement.id") == "s-budget"
