@@ -11,7 +11,7 @@ import { drawHead, readHistories } from "./job_head";
 import { addHistory, apply, emptyState, setShards } from "./job_state";
 import { LogDrawer } from "./log_drawer";
 import type { Report } from "./report_types";
-import { scenePlan } from "./scene_plan";
+import { planCaption, scenePlan } from "./scene_plan";
 import { ShardGrid } from "./shard_grid";
 import { grown, StageStrip } from "./stage_strip";
 import { readMap, ViewMap } from "./view_map";
@@ -146,7 +146,7 @@ async function drawPlan(job: JobDetail, where: HTMLElement): Promise<void> {
   const { objects } = await readObjects(job.scene).catch(() => ({ objects: [] }));
   if (where.childElementCount) return;
   where.append(h("section", { class: "panel", "aria-labelledby": "ph" }, h("header", null, h("h2", { id: "ph" }, "View space from above"), h("span", { class: "small q" }, "cells are coloured once the job is done")),
-    h("div", { class: "map" }, scenePlan(objects.map((o) => o.box), scene.bounds, boxes)), h("p", { class: "small q2" }, "dashed: where the camera may be")));
+    h("div", { class: "map" }, scenePlan(objects.map((o) => o.box), scene.bounds, boxes)), h("p", { class: "small q2" }, planCaption(boxes))));
 }
 
 /** Counts of the running stage move with each shard, without asking again. */

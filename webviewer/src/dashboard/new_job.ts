@@ -9,7 +9,7 @@ import { duration, metres, plural, sentences } from "./format";
 import { note, onKey } from "./frame";
 import { progressBar } from "./job_row";
 import { icon, stateMark } from "./icons";
-import { scenePlan } from "./scene_plan";
+import { planCaption, scenePlan } from "./scene_plan";
 import { SettingsForm } from "./settings_form";
 
 const FORMATS = ".glb,.gltf,.obj,.ply,.stl,.zip";
@@ -170,9 +170,11 @@ function viewSpaceLine(scene: Scene, base: Settings): HTMLElement[] {
 
 async function drawPlan(scene: Scene, where: HTMLElement): Promise<void> {
   if (!scene.bounds || !scene.suggested) return;
-  const { objects } = await readObjects(scene.digest).catch(() => ({ objects: [] }));
   const boxes = scene.suggested.view_space.boxes;
-  where.replaceChildren(scenePlan(objects.map((o) => o.box), scene.bounds, boxes), h("p", { class: "small q2" }, "from above; dashed: suggested view space"));
+  const hold = h("div", { class: "plan-box" }); // of the plan's size, so that nothing below jumps
+  where.replaceChildren(hold, h("p", { class: "small q2" }, `from above; ${planCaption(boxes)}`));
+  const { objects } = await readObjects(scene.digest).catch(() => ({ objects: [] }));
+  hold.append(scenePlan(objects.map((o) => o.box), scene.bounds, boxes));
 }
 
 function facts(scene: Scene): HTMLElement {

@@ -42,12 +42,21 @@ export function boxesPath(boxes: Iterable<Box>, plane: Plane): string {
   return d;
 }
 
+/** A band that follows the ground has thousands of boxes: their outlines would be all that is seen. */
+const OUTLINED = 24;
+
+export function planCaption(viewSpace: readonly Box[]): string {
+  return `${viewSpace.length > OUTLINED ? "shaded" : "dashed"}: where the camera may be`;
+}
+
 /** Footprints and the suggested view space. */
 export function scenePlan(objects: readonly Box[], bounds: Box, viewSpace: readonly Box[]): SVGSVGElement {
   const plane = planeOf([bounds], 1.5);
   const area = (bounds[1][0] - bounds[0][0]) * (bounds[1][2] - bounds[0][2]);
-  // What covers most of the plan is ground or sky: it would hide the rest.
-  const footprints = objects.filter(([a, b]) => (b[0] - a[0]) * (b[2] - a[2]) < 0.25 * area);
+  // What covers much of the plan is ground or sky, whole or split into tiles: it would hide the rest.
+  const within = (share: number): Box[] => objects.filter(([a, b]) => (b[0] - a[0]) * (b[2] - a[2]) < share * area);
+  const small = within(0.01);
+  const footprints = small.length > objects.length / 2 ? small : within(0.25);
   return s("svg", { class: "plan", viewBox: viewBoxOf(plane), role: "img", "aria-label": "Plan of the level with the suggested view space" },
-    s("path", { class: "f", d: boxesPath(footprints, plane) }), s("path", { class: "v", d: boxesPath(viewSpace, plane) }));
+    s("path", { class: "f", d: boxesPath(footprints, plane) }), s("path", { class: viewSpace.length > OUTLINED ? "v many" : "v", d: boxesPath(viewSpace, plane) }));
 }
