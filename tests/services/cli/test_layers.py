@@ -1,5 +1,6 @@
 """`farfield layers`: prints what the metric places; refusals end with code 3 and say what to do."""
 
+import itertools
 import json
 import math
 
@@ -22,7 +23,7 @@ def test_layers_adjoin_and_cover_the_depth(capsys):
     assert found["count"] == len(layers) > 3
     assert found["count"] <= found["estimate"]
     assert layers[0]["near"] == 100 and layers[-1]["far"] == 160
-    for a, b in zip(layers, layers[1:], strict=False):
+    for a, b in itertools.pairwise(layers):
         assert a["near"] < a["t"] < a["far"] == b["near"]
 
 
