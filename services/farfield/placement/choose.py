@@ -4,6 +4,8 @@ Problem  Choose candidates, best gain per byte first, until no view is above its
 Method   Lazy recalculation is exact because no score ever rises: a view's excess only falls; a choice is shown only
          where t_i <= drawn, so what covers it gains less, what it covers nothing; bytes and costs are fixed estimates.
          `tests/naive/greedy.py` chooses the same sequence by scoring everything before each choice.
+Tried    Copying the served entries that can still gain, whenever they had halved: the demo city (39,612 views, 367 k
+         candidates, 63 M entries, 21,805 choices) looks at 159 M entries in 34 s of one busy core, with or without.
 """
 
 import time
