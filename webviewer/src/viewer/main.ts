@@ -10,6 +10,7 @@ import { AccessDenied, fetchFile, fetchFrom, makeTraffic, type Traffic } from ".
 import { byId, setShown, setText } from "../ui/dom";
 import { bytes } from "../ui/format";
 import { applyTheme } from "../ui/theme";
+import { readView } from "../ui/view_link";
 import { App } from "./app";
 import { Engine } from "./engine";
 import { makeHook, type Hook } from "./hook";
@@ -42,9 +43,17 @@ async function start(): Promise<App> {
   const app = new App(engine, placement, traffic, canvas);
   await loadGeometry(base, traffic, placement, engine);
   setShown("loading", false);
-  app.touch();
+  goToAddress(app);
+  window.addEventListener("hashchange", () => goToAddress(app));
   credit(engine.level.notice || placement.manifest.scene?.notice || placement.manifest.notice || "", id);
   return app;
+}
+
+/** Look from where the address says (a link of the report), if it names a view. */
+function goToAddress(app: App): void {
+  const view = readView(location.hash);
+  if (view) app.walker.look(view.position, view.direction);
+  app.touch();
 }
 
 async function loadGeometry(base: string, traffic: Traffic, placement: Placement, engine: Engine): Promise<void> {
