@@ -1,0 +1,225 @@
+"""Generate impostor candidates: clusters with view cells from which an impostor of them would help.
+
+Problem  Any cluster could be replaced as seen from any set of cells. Offer the optimiser, for each cluster, few view
+         cells that are worth their bytes, such that every cell that can be helped is helped by some.
+Method   1. Raw shafts (apex angles, directions and smallest distances in steps) and boxes (nodes of the view-space tree)
+            produce sets of served cells, nothing else. Only cells count that have a problem view in which the cluster
+            costs more than the cheapest impostor.
+         2. Equal sets are one: named by the sum of 128 random bits a cell.
+         3. Each set is weighed quickly and its efficiency is what it may gain over its bytes. From the most efficient
+            on, a set is kept if enough of its gain is new (`kernels.is_needed`).
+         4. Shrink-wrap: the tightest shaft and the tightest box around exactly the served cells; the lighter is taken.
+            Bytes, layers and cost follow from `farfield.impostor.frames`, the same plan that the bake follows.
+Errs     Bytes, layers and cost are upper bounds; a view cell holds every cell that it serves.
+Shards   Ranges of clusters in preorder, from a rule that knows nothing of workers. A cluster needs only its ancestors.
+After    Jeschke et al., I3D 2005, section 4. Changed: placement.md section 6.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from farfield.candidates import kernels
+from farfield.candidates.model import BOX, SHAFT, Candidates
+from farfield.geometry.cells import CellTree
+from farfield.hierarchy.model import Hierarchy
+from farfield.impostor.plan import precision
+from farfield.impostor.weight import MAX_LAYER_TRIANGLES
+from farfield.rendertime import cost as rendertime
+from farfield.rendertime.model import CostModel
+from farfield.scene.model import Scene
+from farfield.settings import Settings
+from farfield.viewspace.cost import runs_of
+from farfield.viewspace.cost import runs_of
+from farfield.viewspace.model import ProblemViews
+
+SHARDS = 32  # about as many
+STEP_DEG = 11.25  # between directions of raw shafts
+SHARE = 0.25  # of a set's gain that must need it (docs/decisions)
+OUTDONE = 1.0  # a larger cluster so many times as efficient serves a cell instead
+BLOCK_BYTES = 64 << 20  # of the table cluster x problem view that is held at once
+UNFIT = 1 << 62  # bytes and cost of what cannot be fitted
+
+
+def plan_shards(hierarchy: Hierarchy) -> list[tuple[int, int]]:
+    """Return preorder ranges [a, b) of clusters that cover all, each a run of whole subtrees with their ancestors."""
+    n = len(hierarchy.start)
+    most = max(64, -(-n // SHARDS))
+    return [(a, min(n, a + most)) for a in range(0, n, most)]
+
+
+def directions() -> np.ndarray:
+    """Return (D,3) f64 unit vectors, STEP_DEG apart on rings that are STEP_DEG apart; y up."""
+    rings = round(180 / STEP_DEG)
+    out = []
+    for i in range(rings + 1):
+        elevation = math.radians(-90 + i * STEP_DEG)
+        level = math.cos(elevation) if 0 < i < rings else 0.0
+        n = max(1, math.ceil(360 / STEP_DEG * level - 1e-9))
+        for j in range(n):
+            azimuth = 2 * math.pi * j / n
+            out.append([level * math.cos(azimuth), math.sin(elevation), level * math.sin(azimuth)])
+    return np.array(out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """What all clusters share."""
+
+    delta: float
+    dl: float
+    screen: np.ndarray
+    coefficient: np.ndarray
+    floor: int  # what the cheapest impostor costs
+    shafts: bool
+    boxes: bool
+    cell_box: np.ndarray
+    keys: np.ndarray
+    directions: np.ndarray
+    view_row: np.ndarray  # (L+1,) problem views of each cell
+    excess: np.ndarray  # (V,)
+
+
+def _prepare(model: CostModel, cells: CellTree, views: ProblemViews, settings: Settings) -> _Work:
+    p = precision(settings)
+    wanted = settings.placement.candidates
+    return _Work(
+        delta=p.delta, dl=p.dl, screen=rendertime.screen(model), coefficient=_coefficient(model),
+        floor=rendertime.impostor_cost(model, triangles=MAX_LAYER_TRIANGLES, pixels=0),
+        shafts=wanted != "boxes", boxes=wanted != "shafts", cell_box=np.ascontiguousarray(cells.cell_box),
+        keys=kernels.cell_keys(cells.n_cells), directions=directions(),
+        view_row=np.searchsorted(views.cell, np.arange(cells.n_cells + 1)).astype(np.int64),
+        excess=views.cost - model.target,
+    )  # fmt: skip
+
+
+def _coefficient(model: CostModel) -> np.ndarray:
+    return np.array([model.per_impostor, model.per_impostor_triangle, model.per_impostor_pixel])
+
+
+def generate(
+    scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews, *, settings: Settings,
+    nodes: tuple[int, int],
+) -> Candidates:  # fmt: skip
+    """Return the candidates of the clusters [a, b) = nodes. `views` must hold all problem views, sorted by cell."""
+    work = _prepare(model, cells, views, settings)
+    d = len(work.directions)
+    most_sets = len(cells.axis) + d * len(kernels.ANGLES_DEG) * kernels.DISTANCES
+    slots = 1 << (2 * most_sets - 1).bit_length()
+    bucket = np.zeros((d, len(kernels.ANGLES_DEG), kernels.DISTANCES, 2), dtype=np.uint64)
+    bucket_count = np.zeros(bucket.shape[:3], dtype=np.int32)
+    table_key, table_id = np.zeros((slots, 2), dtype=np.uint64), np.full(slots, -1, dtype=np.int64)
+    source = np.zeros((most_sets, 4), dtype=np.int64)
+    points = np.empty((8 * cells.n_cells, 3))
+    rows = _Rows()
+
+    runs = runs_of(views)
+    reach: dict[int, np.ndarray] = {}
+    block = max(1, BLOCK_BYTES // (8 * max(1, len(views.cell))))
+    for first in range(nodes[0], nodes[1], block):
+        part = np.arange(first, min(first + block, nodes[1]))
+        costs = np.empty((len(part), len(views.cell)), dtype=np.int64)
+        kernels.cluster_costs(runs_of(views), hierarchy.start[part], hierarchy.stop[part], costs)
+        for k, c in enumerate(part.tolist()):
+            above = reach.get(int(hierarchy.parent[c]), np.zeros(cells.n_cells))
+            reach[c] = above
+            gain = np.zeros(cells.n_cells, dtype=np.int64)
+            if not hierarchy.replaceable[c] or not kernels.cell_gains(
+                costs[k], work.excess, work.view_row, work.floor, gain
+            ):
+                continue
+            useful = np.flatnonzero(gain)
+            box = np.ascontiguousarray(hierarchy.box[c])
+            hold = np.empty((d, len(useful)), dtype=np.uint8)
+            n = kernels.find_sets(
+                (box[0] + box[1]) / 2, float(np.sqrt(((box[1] - box[0]) ** 2).sum())), useful, work.cell_box, work.keys,
+                work.directions, cells.start, cells.stop, work.shafts, work.boxes, bucket, bucket_count, hold,
+                table_key, table_id, source,
+            )  # fmt: skip
+            row, member = np.empty(n + 1, dtype=np.int64), np.empty(source[:n, 3].sum(), dtype=np.int64)
+            kernels.list_members(n, source, useful, hold, cells.start, cells.stop, row, member)
+            weight, efficiency = np.empty(n), np.empty(n)
+            kernels.weigh_sets(row, member, gain, work.cell_box, box, work.delta, work.dl, weight, efficiency)
+            order = np.argsort(-efficiency, kind="stable")
+            kept, view_cell = np.empty(n, dtype=np.int64), np.zeros((n, 9))
+            number, served = np.empty((n, 3), np.int64), np.empty((n, 2), np.int64)
+            reach[c] = np.empty(cells.n_cells)
+            count = kernels.choose_sets(
+                order, row, member, gain, work.cell_box, box, work.shafts, work.boxes, work.delta, work.dl, work.screen,
+                work.coefficient, costs[k], work.view_row, weight, efficiency, above, SHARE, OUTDONE, points, kept,
+                view_cell, number, served, reach[c],
+            )  # fmt: skip
+            for i in rows.start(c, count, view_cell, number, served):
+                view, saved = np.empty(served[i, 1], dtype=np.int32), np.empty(served[i, 1], dtype=np.int64)
+                of = member[row[kept[i]] : row[kept[i] + 1]]
+                kernels.list_served(costs[k], work.view_row, of, served[i, 0], view, saved)
+                rows.view.append(view)
+                rows.saved.append(saved)
+    return rows.build()
+
+
+class _Rows:
+    """Columns of Candidates as they grow, a cluster at a time, sorted by kind and view cell within it."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[np.ndarray, ...]] = []
+        self.view: list[np.ndarray] = []
+        self.saved: list[np.ndarray] = []
+
+    def start(self, cluster: int, n: int, view_cell: np.ndarray, number: np.ndarray, served: np.ndarray) -> np.ndarray:
+        """Add the n candidates of a cluster but for their views, which must follow in the order that is returned."""
+        order = np.lexsort((*view_cell[:n].T[::-1], number[:n, 0]))
+        self.parts.append((np.full(n, cluster), view_cell[order], number[order], served[order]))
+        return order
+
+    def build(self) -> Candidates:
+        cluster, view_cell, number, served = (
+            (np.concatenate(column) for column in zip(*self.parts, strict=True))
+            if self.parts
+            else (np.zeros(0), np.zeros((0, 9)), np.zeros((0, 3)), np.zeros((0, 2)))
+        )
+        return Candidates(
+            cluster=cluster.astype(np.int32), kind=number[:, 0].astype(np.uint8), view_cell=view_cell,
+            bytes=number[:, 1].astype(np.int64), layers=number[:, 2].astype(np.int32),
+            cost=served[:, 0].astype(np.int64), row=np.concatenate([[0], np.cumsum(served[:, 1])]).astype(np.int64),
+            view=np.concatenate(self.view) if self.view else np.zeros(0, np.int32),
+            saved=np.concatenate(self.saved) if self.saved else np.zeros(0, np.int64),
+        )  # fmt: skip
+
+
+def merge(parts: Sequence[Candidates]) -> Candidates:
+    """Return the candidates of all shards, which must come in order of their clusters; ids are final."""
+    if not parts:
+        return _Rows().build()
+    offset = np.concatenate([[0], np.cumsum([p.row[-1] for p in parts])])
+    join = lambda name: np.concatenate([getattr(p, name) for p in parts])  # noqa: E731
+    merged = Candidates(
+        cluster=join("cluster"), kind=join("kind"), view_cell=join("view_cell"), bytes=join("bytes"),
+        layers=join("layers"), cost=join("cost"), view=join("view"), saved=join("saved"),
+        row=np.concatenate([[0], *(p.row[1:] + o for p, o in zip(parts, offset[:-1], strict=True))]).astype(np.int64),
+    )  # fmt: skip
+    assert (np.diff(merged.cluster) >= 0).all()
+    return merged
+
+
+def refit(
+    cluster_box: np.ndarray, cell_boxes: np.ndarray, *, model: CostModel, settings: Settings
+) -> tuple[int, np.ndarray, int, int, int]:
+    """Return (kind, view cell (9,), bytes, layers, cost) of the best fit to exactly these cells, as `generate` fits.
+
+    cluster_box  (2,3) f64; cell_boxes  (K,2,3) f64, K >= 1
+    Where no impostor can be fitted, bytes and cost are UNFIT: heavier than anything.
+    """
+    boxes = np.ascontiguousarray(cell_boxes, dtype=np.float64).reshape(-1, 2, 3)
+    p, wanted = precision(settings), settings.placement.candidates
+    view_cell = np.zeros(9)
+    kind, size, layers, cost = kernels.fit_best(
+        np.ascontiguousarray(cluster_box, dtype=np.float64), boxes, np.arange(len(boxes)), wanted != "boxes",
+        wanted != "shafts", p.delta, p.dl, rendertime.screen(model), _coefficient(model), view_cell,
+        np.empty((8 * len(boxes), 3)),
+    )  # fmt: skip
+    if kind < 0:
+        return BOX if wanted == "boxes" else SHAFT, view_cell, UNFIT, 0, UNFIT
+    return int(kind), view_cell, int(size), int(layers), int(cost)

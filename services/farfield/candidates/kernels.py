@@ -1,0 +1,328 @@
+"""Numba kernels of candidate generation. Cells are leaf cells of the view space, rows of `cell_box`."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from farfield.impostor.cells import wrap_box, wrap_shaft
+from farfield.impostor.frames import SHAFT, TEXEL, TEXELS, S, lay_out_best, weigh_quickly
+from farfield.impostor.weight import IMPOSTOR_BYTES, LAYER_BYTES, MAX_LAYER_TRIANGLES, MAX_LAYERS, TEXEL_BYTES
+from farfield.rendertime.kernels import impostor_cost, rect_pixels
+from farfield.viewspace.kernels import running_costs
+
+DISTANCES = 11  # smallest distances of raw shafts: 2^0 .. 2^10 cluster sizes
+ANGLES_DEG = (11.25, 22.5, 45.0, 90.0)  # apex angles of raw shafts
+_HALF_SIN = np.sin(np.radians(np.array(ANGLES_DEG) / 2))
+_HALF_COS = np.cos(np.radians(np.array(ANGLES_DEG) / 2))
+_SEED = np.uint64(0x9E3779B97F4A7C15)
+
+
+@njit(cache=True)
+def mix(x):
+    """Return a 64-bit hash of a 64-bit integer (splitmix64)."""
+    x = np.uint64(x) + _SEED
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@njit(cache=True)
+def cell_keys(n):
+    """Return (n,2) u64: 128 random bits a cell; the sum over a set, modulo 2^64 each, names the set."""
+    out = np.empty((n, 2), dtype=np.uint64)
+    for i in range(n):
+        out[i, 0] = mix(np.uint64(2 * i))
+        out[i, 1] = mix(np.uint64(2 * i + 1))
+    return out
+
+
+@njit(cache=True)
+def shaft_class(apex, size, box, direction):
+    """Return (angle, distance): the narrowest raw shaft along `direction` and the farthest that hold the box; -1, -1 if none.
+
+    A raw shaft holds a box if it holds its bounding sphere: raw shafts only group cells, `farfield.impostor.cells` fits
+    the real ones. It starts size * 2^distance from the apex along its axis.
+    """
+    along, reach2, lateral2, support = 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        half = (box[1, k] - box[0, k]) / 2
+        p = (box[0, k] + box[1, k]) / 2 - apex[k]
+        along += p * direction[k]
+        reach2 += half * half
+        lateral2 += p * p
+        support += abs(direction[k]) * half
+    near = along - support
+    if not near >= size:
+        return -1, -1
+    lateral = math.sqrt(max(0.0, lateral2 - along * along))
+    reach = math.sqrt(reach2)
+    for a in range(4):
+        if along * _HALF_SIN[a] - lateral * _HALF_COS[a] >= reach:
+            distance = 0
+            while distance + 1 < DISTANCES and near >= size * 2.0 ** (distance + 1):
+                distance += 1
+            return a, distance
+    return -1, -1
+
+
+@njit(cache=True)
+def _insert(table_key, table_id, lo, hi, new_id):
+    """Return the id stored under the 128-bit key, or store new_id and return -1. Open addressing; id -1 is free."""
+    mask = np.uint64(len(table_id) - 1)
+    slot = lo & mask
+    while table_id[slot] >= 0:
+        if table_key[slot, 0] == lo and table_key[slot, 1] == hi:
+            return table_id[slot]
+        slot = (slot + np.uint64(1)) & mask
+    table_key[slot, 0], table_key[slot, 1], table_id[slot] = lo, hi, new_id
+    return -1
+
+
+@njit(cache=True)
+def find_sets(
+    apex, size, useful, cell_box, keys, directions, tree_start, tree_stop, shafts, boxes,
+    bucket, bucket_count, hold, table_key, table_id, source,
+):  # fmt: skip
+    """Find the distinct sets of useful cells that raw view cells hold; return how many, and fill `source` (S,4).
+
+    useful       (U,) ascending cells that count
+    tree_start, tree_stop  (K,) leaf ranges of the view-space tree's nodes: raw boxes, taken where `boxes`
+    bucket       (D,4,11,2) u64 zeros, bucket_count (D,4,11) i32 zeros: scratch, left zero
+    hold         (D,U) u1 out: 11 a + k of the narrowest and farthest raw shaft that holds a useful cell; 255 none
+    table_key, table_id    hash table, ids -1, length a power of two; left so
+    source       rows: direction, angle, distance of a raw shaft that holds the set, cells in it; a node of the tree is
+                 -1, node, 0, cells. Of raw view cells with the same set the first counts, boxes before shafts.
+    """
+    n = 0
+    if boxes:
+        # running sums over the useful cells: a node's key is a difference of two
+        lo_sum, hi_sum = np.zeros(len(useful) + 1, dtype=np.uint64), np.zeros(len(useful) + 1, dtype=np.uint64)
+        for j in range(len(useful)):
+            lo_sum[j + 1] = lo_sum[j] + keys[useful[j], 0]
+            hi_sum[j + 1] = hi_sum[j] + keys[useful[j], 1]
+        for node in range(len(tree_start)):
+            a, b = np.searchsorted(useful, tree_start[node]), np.searchsorted(useful, tree_stop[node])
+            if a < b and _insert(table_key, table_id, lo_sum[b] - lo_sum[a], hi_sum[b] - hi_sum[a], n) < 0:
+                source[n, 0], source[n, 1], source[n, 2], source[n, 3] = -1, node, 0, b - a
+                n += 1
+    if shafts:
+        for j in range(len(useful)):
+            box = cell_box[useful[j]]
+            px = (box[0, 0] + box[1, 0]) / 2 - apex[0]
+            py = (box[0, 1] + box[1, 1]) / 2 - apex[1]
+            pz = (box[0, 2] + box[1, 2]) / 2 - apex[2]
+            least = 0.7 * math.sqrt(px * px + py * py + pz * pz)  # cos 45 degrees = 0.707
+            for d in range(len(directions)):
+                hold[d, j] = 255
+                if px * directions[d, 0] + py * directions[d, 1] + pz * directions[d, 2] < least:
+                    continue
+                a, k = shaft_class(apex, size, box, directions[d])
+                if a >= 0:
+                    hold[d, j] = DISTANCES * a + k
+                    bucket[d, a, k, 0] += keys[useful[j], 0]
+                    bucket[d, a, k, 1] += keys[useful[j], 1]
+                    bucket_count[d, a, k] += 1
+        for d in range(len(directions)):
+            for a in range(4):
+                lo, hi, m = np.uint64(0), np.uint64(0), 0
+                for k in range(DISTANCES - 1, -1, -1):
+                    # bucket (a, k) becomes what lies in angles <= a at distance k; lo, hi, m what lies at >= k
+                    if a > 0:
+                        bucket[d, a, k, 0] += bucket[d, a - 1, k, 0]
+                        bucket[d, a, k, 1] += bucket[d, a - 1, k, 1]
+                        bucket_count[d, a, k] += bucket_count[d, a - 1, k]
+                    if bucket_count[d, a, k] == 0:
+                        continue
+                    lo += bucket[d, a, k, 0]
+                    hi += bucket[d, a, k, 1]
+                    m += bucket_count[d, a, k]
+                    if _insert(table_key, table_id, lo, hi, n) < 0:
+                        source[n, 0], source[n, 1], source[n, 2], source[n, 3] = d, a, k, m
+                        n += 1
+            bucket[d] = 0
+            bucket_count[d] = 0
+    table_id[:] = -1
+    return n
+
+
+@njit(cache=True)
+def list_members(n, source, useful, hold, tree_start, tree_stop, row, member):
+    """Fill row (S+1,) and member: the cells of set i, ascending, are member[row[i] : row[i + 1]]."""
+    inside = np.zeros(256, dtype=np.bool_)
+    row[0] = 0
+    for i in range(n):
+        at = row[i]
+        d, angle, distance = source[i, 0], source[i, 1], source[i, 2]
+        if d < 0:
+            for j in range(np.searchsorted(useful, tree_start[angle]), np.searchsorted(useful, tree_stop[angle])):
+                member[at] = useful[j]
+                at += 1
+        else:
+            for h in range(4 * DISTANCES):
+                inside[h] = h // DISTANCES <= angle and h % DISTANCES >= distance
+            held = hold[d]
+            for j in range(len(useful)):
+                if inside[held[j]]:
+                    member[at] = useful[j]
+                    at += 1
+        row[i + 1] = at
+
+
+@njit(cache=True)
+def cluster_costs(views, start, stop, out):
+    """Fill out (C,V): the cost of objects [start[c], stop[c]) in each problem view. views: `farfield.viewspace.cost.Runs`."""
+    low, high, n_views = start.min(), stop.max(), out.shape[1]
+    running = np.empty(high - low + 1, dtype=np.int64)
+    tile = np.empty((64, len(start)), dtype=np.int64)  # so that `out` is written in runs
+    for first in range(0, n_views, 64):
+        last = min(first + 64, n_views)
+        for v in range(first, last):
+            running_costs(views, v, low, high, running)
+            for c in range(len(start)):
+                tile[v - first, c] = running[stop[c] - low] - running[start[c] - low]
+        for c in range(len(start)):
+            for v in range(first, last):
+                out[c, v] = tile[v - first, c]
+
+
+@njit(cache=True)
+def cell_gains(costs, excess, view_row, floor, gain):
+    """Fill gain (L,): sum over a cell's problem views of what the cheapest impostor could spare there, min(cost - floor,
+    excess); return the number of cells with a view that costs more than floor."""
+    n = 0
+    for i in range(len(gain)):
+        total = np.int64(0)
+        for v in range(view_row[i], view_row[i + 1]):
+            if costs[v] > floor:
+                total += min(costs[v] - floor, excess[v])
+        gain[i] = total
+        n += total > 0
+    return n
+
+
+@njit(cache=True)
+def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, weight, efficiency):
+    """Fill for each set: weight (S,) f64 bytes by `weigh_quickly` for its bounding box, efficiency (S,) f64 gain a byte."""
+    axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((MAX_LAYERS, 2))
+    plane, near, far = np.empty(MAX_LAYERS), np.empty(MAX_LAYERS), np.empty(MAX_LAYERS)
+    cell = np.empty(9)
+    for i in range(len(row) - 1):
+        cells = member[row[i] : row[i + 1]]
+        total = 0.0
+        for k in cells:
+            total += gain[k]
+        wrap_box(cell_box, cells, cell)
+        weight[i] = weigh_quickly(cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
+        efficiency[i] = total / weight[i]
+
+
+@njit(cache=True)
+def is_needed(cells, gain, efficiency, held, above, share, outdone):
+    """Return whether a set is worth a candidate beside those kept so far, all of which are at least as efficient.
+
+    held   (L,) b1, cells of the sets kept so far
+    above  (L,) efficiency of the best set of a larger cluster that holds each cell
+    It is if `share` of its gain lies in cells that no set holds yet, and that no larger cluster serves `outdone` times as
+    efficiently.
+    """
+    total = needed = 0.0
+    for i in cells:
+        total += gain[i]
+        if not held[i] and above[i] <= outdone * efficiency:
+            needed += gain[i]
+    return needed > 0 and needed >= share * total
+
+
+@njit(cache=True)
+def fit_best(cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coefficient, view_cell, points):
+    """Fit view cells to a set and lay the impostor out; write view_cell (9,) and return (kind, bytes, layers, cost).
+
+    The lighter of shaft and box, ties to the cheaper, then to the shaft; kind -1 if there is none.
+    coefficient  (3,) cost of an impostor, of one of its triangles, of one of its pixels
+    """
+    axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((MAX_LAYERS, 2))
+    plane, near, far = np.empty(MAX_LAYERS), np.empty(MAX_LAYERS), np.empty(MAX_LAYERS)
+    cell, apex = np.empty(9), np.empty(3)
+    best_kind, best_bytes, best_layers, best_cost = -1, 0, 0, np.int64(0)
+    for kind in range(2):
+        if kind == SHAFT:
+            for k in range(3):
+                apex[k] = (cluster[0, k] + cluster[1, k]) / 2
+            if not shafts or not wrap_shaft(apex, cell_box, cells, points, cell):
+                continue
+        else:
+            if not boxes:
+                continue
+            wrap_box(cell_box, cells, cell)
+        layers = lay_out_best(kind == SHAFT, cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
+        if layers <= 0:
+            continue
+        weight = TEXEL_BYTES * int(frame[TEXELS]) + IMPOSTOR_BYTES + LAYER_BYTES * layers
+        pixels = 0.0
+        for k in range(layers):
+            unit = frame[TEXEL] * (plane[k] + frame[S])
+            pixels += rect_pixels(crop[k, 0] * unit, crop[k, 1] * unit, plane[k], screen)
+        cost = impostor_cost(MAX_LAYER_TRIANGLES * layers, pixels, coefficient[0], coefficient[1], coefficient[2])
+        if best_kind < 0 or weight < best_bytes or (weight == best_bytes and cost < best_cost):
+            best_kind, best_bytes, best_layers, best_cost = kind, weight, layers, cost
+            view_cell[:] = cell
+    return best_kind, best_bytes, best_layers, best_cost
+
+
+@njit(cache=True)
+def count_served(costs, view_row, cells, cost):
+    """Return the number of problem views of the cells in which the cluster costs more than `cost`."""
+    n = 0
+    for i in cells:
+        for v in range(view_row[i], view_row[i + 1]):
+            n += costs[v] > cost
+    return n
+
+
+@njit(cache=True)
+def list_served(costs, view_row, cells, cost, view, saved):
+    """Write those views, ascending where cells are, and what is saved in each."""
+    n = 0
+    for i in cells:
+        for v in range(view_row[i], view_row[i + 1]):
+            if costs[v] > cost:
+                view[n], saved[n] = v, costs[v] - cost
+                n += 1
+
+
+@njit(cache=True)
+def choose_sets(
+    order, row, member, gain, cell_box, cluster, shafts, boxes, delta, dl, screen, coefficient, costs, view_row,
+    weight, efficiency, above, share, outdone, points, kept, view_cell, number, served, reach,
+):  # fmt: skip
+    """Keep the sets that are needed, in `order`, and fit them. Return how many.
+
+    kept  (S,) their numbers; view_cell (S,9); number (S,3) i64: kind, bytes, layers; served (S,2) i64: cost, views
+    reach  (L,) out: the greater of `above` and the efficiency of the best kept set that holds each cell
+    """
+    held = np.zeros(len(above), dtype=np.bool_)
+    count = 0
+    reach[:] = above
+    for i in order:
+        if weight[i] == np.inf:
+            break
+        cells = member[row[i] : row[i + 1]]
+        if not is_needed(cells, gain, efficiency[i], held, above, share, outdone):
+            continue
+        kind, size, layers, cost = fit_best(
+            cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coefficient, view_cell[count], points
+        )
+        if kind < 0:
+            continue
+        views = count_served(costs, view_row, cells, cost)
+        if views == 0:
+            continue
+        kept[count] = i
+        number[count, 0], number[count, 1], number[count, 2] = kind, size, layers
+        served[count, 0], served[count, 1] = cost, views
+        count += 1
+        for k in cells:
+            held[k] = True
+            reach[k] = max(reach[k], efficiency[i])
+    return count
