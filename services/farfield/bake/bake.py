@@ -29,6 +29,7 @@ from farfield.bake.shade import DECODE, ENCODE, LIGHTS, shade
 from farfield.bake.sheets import lay_out, part
 from farfield.bake.textures import Pyramids, decode
 from farfield.hierarchy.model import Hierarchy
+from farfield.impostor.kernels import cut_triangles
 from farfield.impostor.plan import LayerPlan, plan_layers
 from farfield.impostor.weight import impostor_bytes
 from farfield.placement.model import Placement
@@ -163,7 +164,7 @@ def bake_batch(
                 plane = float(plan.plane[k])
                 rows.layer.append((plane, float(plan.near[k]), float(plan.far[k]), corners + low, tile_id, at))
                 texels += size_k[0] * size_k[1]
-                triangles += len(corners) - 2
+                triangles += len(corners) - 2 + cut_triangles(*size_k)
                 pixels += layer_pixels(model, plan, k, size_k)
         rows.impostor.append((
             plan.eye, plan.right, plan.up, plan.slope0, plan.texel, plan.resolution,

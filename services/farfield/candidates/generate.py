@@ -6,12 +6,13 @@ Method   1. Raw shafts (apex angles, directions and smallest distances in steps)
             produce sets of served cells, nothing else. Only cells count that have a problem view in which the cluster
             costs more than the cheapest impostor.
          2. Equal sets are one: named by the sum of 128 random bits a cell.
-         3. Each set is weighed quickly and its efficiency is what it may gain over its bytes. From the most efficient
-            on, a set is kept if enough of its gain is new (`kernels.is_needed`).
+         3. Each set is weighed quickly; its efficiency is what it may gain over its bytes. From the most efficient on,
+            a set is kept if enough of its gain lies in cells that no set so far holds and that no larger cluster in
+            the shard serves more efficiently (`kernels.is_needed`). So every cell that any can serve is served.
          4. Shrink-wrap: the tightest shaft and the tightest box around exactly the served cells; the lighter is taken.
             Bytes, layers and cost follow from `farfield.impostor.frames`, the same plan that the bake follows.
 Errs     Bytes, layers and cost are upper bounds; a view cell holds every cell that it serves.
-Shards   Ranges of clusters in preorder, from a rule that knows nothing of workers. A cluster needs only its ancestors.
+Shards   Ranges of clusters in preorder, from a rule that knows nothing of workers.
 After    Jeschke et al., I3D 2005, section 4. Changed: placement.md section 6.
 """
 
@@ -32,19 +33,17 @@ from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import Settings
 from farfield.viewspace.cost import runs_of
-from farfield.viewspace.cost import runs_of
 from farfield.viewspace.model import ProblemViews
 
 SHARDS = 32  # about as many
 STEP_DEG = 11.25  # between directions of raw shafts
-SHARE = 0.25  # of a set's gain that must need it (docs/decisions)
-OUTDONE = 1.0  # a larger cluster so many times as efficient serves a cell instead
+ENTRIES = 48_000_000  # aimed at: candidates x problem views (docs/decisions/0010-which-candidates.md)
 BLOCK_BYTES = 64 << 20  # of the table cluster x problem view that is held at once
 UNFIT = 1 << 62  # bytes and cost of what cannot be fitted
 
 
 def plan_shards(hierarchy: Hierarchy) -> list[tuple[int, int]]:
-    """Return preorder ranges [a, b) of clusters that cover all, each a run of whole subtrees with their ancestors."""
+    """Return preorder ranges [a, b) of clusters that cover all of them. They shape the result (`reach` ends at them)."""
     n = len(hierarchy.start)
     most = max(64, -(-n // SHARDS))
     return [(a, min(n, a + most)) for a in range(0, n, most)]
@@ -80,14 +79,34 @@ class _Work:
     directions: np.ndarray
     view_row: np.ndarray  # (L+1,) problem views of each cell
     excess: np.ndarray  # (V,)
+    share: float
+    outdone: float
 
 
-def _prepare(model: CostModel, cells: CellTree, views: ProblemViews, settings: Settings) -> _Work:
+def thinning(hierarchy: Hierarchy, model: CostModel, views: ProblemViews) -> tuple[float, float]:
+    """Return (share, outdone) of `kernels.is_needed`: stricter the more pairs of cluster and problem view there are.
+
+    At (1/4, 1) a third of the pairs become entries; the constants were measured, see docs/decisions/0010.
+    """
+    fixed = np.concatenate([[0], np.cumsum(model.object_fixed)])
+    worth = int((fixed[hierarchy.stop] - fixed[hierarchy.start] > _floor(model)).sum())
+    crowding = max(1.0, 0.36 * worth * len(views.cell) / ENTRIES)
+    return min(0.25 * crowding, 0.75), min(1.0, (2 / crowding) ** 2)
+
+
+def _floor(model: CostModel) -> int:
+    return rendertime.impostor_cost(model, triangles=MAX_LAYER_TRIANGLES, pixels=0)
+
+
+def _prepare(
+    hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews, settings: Settings
+) -> _Work:  # fmt: skip
     p = precision(settings)
+    share, outdone = thinning(hierarchy, model, views)
     wanted = settings.placement.candidates
     return _Work(
         delta=p.delta, dl=p.dl, screen=rendertime.screen(model), coefficient=_coefficient(model),
-        floor=rendertime.impostor_cost(model, triangles=MAX_LAYER_TRIANGLES, pixels=0),
+        floor=_floor(model), share=share, outdone=outdone,
         shafts=wanted != "boxes", boxes=wanted != "shafts", cell_box=np.ascontiguousarray(cells.cell_box),
         keys=kernels.cell_keys(cells.n_cells), directions=directions(),
         view_row=np.searchsorted(views.cell, np.arange(cells.n_cells + 1)).astype(np.int64),
@@ -104,7 +123,7 @@ def generate(
     nodes: tuple[int, int],
 ) -> Candidates:  # fmt: skip
     """Return the candidates of the clusters [a, b) = nodes. `views` must hold all problem views, sorted by cell."""
-    work = _prepare(model, cells, views, settings)
+    work = _prepare(hierarchy, model, cells, views, settings)
     d = len(work.directions)
     most_sets = len(cells.axis) + d * len(kernels.ANGLES_DEG) * kernels.DISTANCES
     slots = 1 << (2 * most_sets - 1).bit_length()
@@ -115,7 +134,6 @@ def generate(
     points = np.empty((8 * cells.n_cells, 3))
     rows = _Rows()
 
-    runs = runs_of(views)
     reach: dict[int, np.ndarray] = {}
     block = max(1, BLOCK_BYTES // (8 * max(1, len(views.cell))))
     for first in range(nodes[0], nodes[1], block):
@@ -123,6 +141,7 @@ def generate(
         costs = np.empty((len(part), len(views.cell)), dtype=np.int64)
         kernels.cluster_costs(runs_of(views), hierarchy.start[part], hierarchy.stop[part], costs)
         for k, c in enumerate(part.tolist()):
+            # efficiency of the clusters around this one, as far as this shard knows them
             above = reach.get(int(hierarchy.parent[c]), np.zeros(cells.n_cells))
             reach[c] = above
             gain = np.zeros(cells.n_cells, dtype=np.int64)
@@ -148,7 +167,7 @@ def generate(
             reach[c] = np.empty(cells.n_cells)
             count = kernels.choose_sets(
                 order, row, member, gain, work.cell_box, box, work.shafts, work.boxes, work.delta, work.dl, work.screen,
-                work.coefficient, costs[k], work.view_row, weight, efficiency, above, SHARE, OUTDONE, points, kept,
+                work.coefficient, costs[k], work.view_row, weight, efficiency, above, work.share, work.outdone, points, kept,
                 view_cell, number, served, reach[c],
             )  # fmt: skip
             for i in rows.start(c, count, view_cell, number, served):

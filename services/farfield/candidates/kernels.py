@@ -7,6 +7,7 @@ from numba import njit
 
 from farfield.impostor.cells import wrap_box, wrap_shaft
 from farfield.impostor.frames import SHAFT, TEXEL, TEXELS, S, lay_out_best, weigh_quickly
+from farfield.impostor.kernels import cut_triangles
 from farfield.impostor.weight import IMPOSTOR_BYTES, LAYER_BYTES, MAX_LAYER_TRIANGLES, MAX_LAYERS, TEXEL_BYTES
 from farfield.rendertime.kernels import impostor_cost, rect_pixels
 from farfield.viewspace.kernels import running_costs
@@ -197,7 +198,8 @@ def cell_gains(costs, excess, view_row, floor, gain):
             if costs[v] > floor:
                 total += min(costs[v] - floor, excess[v])
         gain[i] = total
-        n += total > 0
+        if total > 0:
+            n += 1
     return n
 
 
@@ -260,10 +262,12 @@ def fit_best(cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coeffic
             continue
         weight = TEXEL_BYTES * int(frame[TEXELS]) + IMPOSTOR_BYTES + LAYER_BYTES * layers
         pixels = 0.0
+        triangles = MAX_LAYER_TRIANGLES * layers
         for k in range(layers):
             unit = frame[TEXEL] * (plane[k] + frame[S])
+            triangles += cut_triangles(crop[k, 0], crop[k, 1])
             pixels += rect_pixels(crop[k, 0] * unit, crop[k, 1] * unit, plane[k], screen)
-        cost = impostor_cost(MAX_LAYER_TRIANGLES * layers, pixels, coefficient[0], coefficient[1], coefficient[2])
+        cost = impostor_cost(triangles, pixels, coefficient[0], coefficient[1], coefficient[2])
         if best_kind < 0 or weight < best_bytes or (weight == best_bytes and cost < best_cost):
             best_kind, best_bytes, best_layers, best_cost = kind, weight, layers, cost
             view_cell[:] = cell
@@ -276,7 +280,8 @@ def count_served(costs, view_row, cells, cost):
     n = 0
     for i in cells:
         for v in range(view_row[i], view_row[i + 1]):
-            n += costs[v] > cost
+            if costs[v] > cost:
+                n += 1
     return n
 
 

@@ -292,24 +292,22 @@ def lay_out_best(
     is_shaft: bool, cluster: np.ndarray, cell: np.ndarray, delta: float, dl: float, axes: np.ndarray,
     plane: np.ndarray, near: np.ndarray, far: np.ndarray, crop: np.ndarray, frame: np.ndarray,
 ) -> int:  # fmt: skip
-    """As `lay_out`, in the frame of `face_cluster` that weighs least, ties to the first; axes is out."""
-    viewpoints = SHAFT_VIEWPOINTS if is_shaft else BOX_VIEWPOINTS
-    best, best_choice, least, last = TOO_NEAR, -1, np.inf, -1
-    for choice in range(CHOICES):
+    """As `lay_out`, in the frame of `face_cluster` that weighs least from one viewpoint, ties to the first; axes is out."""
+    chosen, least, worst = -1, np.inf, TOO_NEAR
+    for choice in range(1 if is_shaft else CHOICES):
         if not face_cluster(is_shaft, cluster, cell, choice, axes):
             continue
-        count = lay_out(is_shaft, axes, cluster, cell, viewpoints, delta, dl, plane, near, far, crop, frame)
-        last = choice
+        count = lay_out(is_shaft, axes, cluster, cell, ONE_VIEWPOINT, delta, dl, plane, near, far, crop, frame)
         if count <= 0:
-            best = min(best, count) if best <= 0 else best
-            continue
-        weight = TEXEL_BYTES * frame[TEXELS] + IMPOSTOR_BYTES + LAYER_BYTES * count
-        if weight < least:
-            best, best_choice, least = count, choice, weight
-    if best > 0 and last != best_choice:
-        face_cluster(is_shaft, cluster, cell, best_choice, axes)
-        lay_out(is_shaft, axes, cluster, cell, viewpoints, delta, dl, plane, near, far, crop, frame)
-    return best
+            worst = min(worst, count)
+        weight = TEXEL_BYTES * frame[TEXELS] + LAYER_BYTES * count if count > 0 else 1e300
+        if count != TOO_NEAR and weight < least:
+            chosen, least = choice, weight
+    if chosen < 0:
+        return worst
+    face_cluster(is_shaft, cluster, cell, chosen, axes)
+    viewpoints = SHAFT_VIEWPOINTS if is_shaft else BOX_VIEWPOINTS
+    return lay_out(is_shaft, axes, cluster, cell, viewpoints, delta, dl, plane, near, far, crop, frame)
 
 
 @njit(cache=True)

@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
+from farfield.impostor.weight import PAGE_TEXELS
+
 GUARD = 16 * 2.0**-53  # relative; makes a computed spacing never exceed the exact one
 INF = np.inf
 
@@ -260,3 +262,14 @@ def stack(t0, t_far, s, dl, depth, term, offset, term_limit, offset_limit, plane
         start = t + d
         far[count - 1] = start
         t = t_next
+
+
+@njit(cache=True)
+def cut_triangles(width, height):
+    """Return how many triangles a layer of width x height texels gains at most when it is cut into pages.
+
+    A straight cut of a convex polygon adds four corners to its two parts, hence two triangles; columns are cut first,
+    then each into rows.
+    """
+    pieces = math.ceil(width / PAGE_TEXELS) * math.ceil(height / PAGE_TEXELS)
+    return 2 * max(0, pieces - 1)

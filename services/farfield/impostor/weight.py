@@ -12,6 +12,7 @@ LAYER_BYTES = 160
 MAX_LAYERS = 64  # of one impostor
 MAX_SIDE = 4096  # texels of an impostor's grid, along x or y
 MAX_LAYER_TRIANGLES = 6  # a cropped layer is a convex polygon of at most 8 corners
+PAGE_TEXELS = 1024  # side of a page of the placement database; a larger tile is cut, which adds triangles
 
 
 def impostor_bytes(texels: int, layers: int) -> int:

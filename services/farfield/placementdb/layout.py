@@ -4,13 +4,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from farfield.impostor.weight import PAGE_TEXELS as PAGE_TEXELS
+
 FORMAT, VERSION = "farfield placement", 1
 MANIFEST = "manifest.json"
 INDEX_KIND, CHUNK_KIND = "PlacementIndex", "PlacementChunk"
 NAME_DIGITS = 16  # hex digits of the SHA-256 in a file's name
 DIGEST_KEY = b'"manifest_sha256":"'
 
-PAGE_TEXELS = 1024
 ALIGN_TEXELS = 8  # 2 ** (levels - 1): no texel of the coarsest level lies over two tiles
 LEVELS = ((0, 0, 1024), (0, 1024, 512), (512, 1024, 256), (768, 1024, 128))  # x, y, size in the page's image
 PAGE_WIDTH, PAGE_HEIGHT = 1024, 1536
