@@ -1,8 +1,18 @@
-"""What tests of every folder share: the one OpenGL context of this process."""
+"""What tests of every folder share: options, hypothesis' profile, the one OpenGL context of this process."""
 
 from typing import Any
 
 import pytest
+from hypothesis import settings
+
+# A compile in the first example is no failure; the same examples every time, so that a red run can be repeated.
+settings.register_profile("farfield", deadline=None, derandomize=True)
+settings.load_profile("farfield")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--bench", action="store_true", help="run the benchmarks (tests/benchmarks)")
+    parser.addoption("--bench-save", action="store_true", help="keep their rows in tests/benchmarks/results")
 
 
 @pytest.fixture(scope="session")
