@@ -1,0 +1,63 @@
+"""Benchmarks run with --bench only; their rows are printed at the end, and kept with --bench-save."""
+
+import os
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmarks.inputs import Level, cutout_level
+from benchmarks.measure import Row, as_csv, as_table, line
+from farfield.stages import Stage
+
+HERE = Path(__file__).parent
+_ORDER: list[str] = [*Stage]
+_ORDER.insert(_ORDER.index(Stage.CANDIDATES), "impostor")  # the leaf that candidates stands on
+_ROWS = pytest.StashKey[list[Row]]()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("--bench"):
+        for item in items:
+            if HERE in item.path.parents:
+                item.add_marker(pytest.mark.skip(reason="a benchmark: run `make bench`, or pytest with --bench"))
+
+
+def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
+    rows = sorted(config.stash.get(_ROWS, []), key=lambda row: _ORDER.index(row.stage.split()[0]))
+    if not rows:
+        return
+    terminalreporter.section("benchmarks")
+    terminalreporter.write_line(as_table(rows))
+    if config.getoption("--bench-save"):
+        if exitstatus:
+            terminalreporter.write_line("not saved: a benchmark failed")
+            return
+        path = HERE / "results" / f"{version('farfield')}.csv"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(as_csv(rows, cores=len(os.sched_getaffinity(0))), encoding="utf-8")
+        terminalreporter.write_line(f"saved as {path.relative_to(HERE.parents[1])}")
+
+
+@pytest.fixture
+def report(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Takes the fields of a Row, prints it and keeps it for the table."""
+
+    def add(**given: Any) -> None:
+        row = Row(**given)
+        request.config.stash.setdefault(_ROWS, []).append(row)
+        print("\n" + line(row), end="", flush=True)
+
+    return add
+
+
+@pytest.fixture(scope="session")
+def cutout() -> Level:
+    return cutout_level()
+
+
+@pytest.fixture(scope="session")
+def coarse_cutout() -> Level:
+    """The cut-out with a camera of few pixels, so that all its impostors are baked in seconds."""
+    return cutout_level(180)
