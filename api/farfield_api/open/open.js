@@ -4,8 +4,8 @@
 const given = new URLSearchParams(location.hash.slice(1));
 history.replaceState(null, "", location.pathname);
 const to = given.get("to") ?? "";
-// Only a path on this host: "//host" or "/\host" would lead elsewhere.
-const target = /^\/[A-Za-z0-9._~-][A-Za-z0-9._~/-]*$/.test(to) ? to : "/jobs";
+// Only a path on this host, and a view in it: "//host" or "/\host" would lead elsewhere.
+const target = /^\/[A-Za-z0-9._~-][A-Za-z0-9._~/-]*(#[A-Za-z0-9=&,.+-]*)?$/.test(to) ? to : "/jobs";
 const says = document.getElementById("says");
 const form = document.getElementById("form");
 
