@@ -5,6 +5,7 @@ import pytest
 from benchmarks.inputs import Level, town_level
 from benchmarks.measure import best_seconds, exponent, twin_seconds
 from cutout import city_cutout
+from farfield.candidates.generate import generate
 from farfield.geometry.camera import Camera
 from farfield.hierarchy.build import build_hierarchy
 from farfield.impostor.plan import plan_layers
@@ -116,12 +117,18 @@ def test_impostor(cutout, report):
 
 
 def test_candidates(cutout, towns, report):
-    """No naive twin: the search tries what a budget of time allows, there is no slow obvious version of that."""
+    from naive import candidates as naive_candidates
+
+    small, nodes = town_level(90, budget="30 calls", view_m=32, interval_deg=90.0), (3, 20)
+    given = small.hierarchy, small.model, small.cells, small.views
+    ours = best_seconds(lambda: generate(small.scene, *given, settings=small.settings, nodes=nodes))
+    twin = twin_seconds(lambda: naive_candidates.candidates(*given, small.settings, nodes))
     seconds = [best_seconds(level.run_candidates) for level in (*towns, cutout)]
     n = len(cutout.candidates.cluster)
     report(
         stage="candidates", work="fit view cells and impostors", input=f"{cutout.name}, {n} found",
-        seconds=seconds[-1], rate=n / seconds[-1], unit="candidates/s",
+        seconds=seconds[-1], rate=n / seconds[-1], unit="candidates/s", times_naive=twin / ours,
+        naive_input=f"{nodes[1] - nodes[0]} clusters, {small.cells.n_cells} cells, {len(small.views.cell)} views",
         exponent=exponent([level.scene.n_objects for level in towns], seconds[:-1]), sizes=sizes_of(towns),
     )  # fmt: skip
 
