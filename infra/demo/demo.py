@@ -83,7 +83,8 @@ def screenshot(viewer: str) -> int:
     with sync_playwright() as playwright:
         page = launch(playwright).new_page(viewport={"width": 1440, "height": 900})
         page.goto(viewer)
-        page.wait_for_function("window.farfield !== undefined", timeout=60_000)
+        page.wait_for_url("**/viewer/**")
+        page.wait_for_selector("#picture")
         page.evaluate("window.farfield.ready()")
         page.screenshot(path=str(out))
         print(json.dumps(page.evaluate("window.farfield.stats()")))
