@@ -9,7 +9,8 @@ Method   1. Raw shafts (apex angles, directions and smallest distances in steps)
          3. Each set is weighed quickly; its efficiency is what it may gain over its bytes. From the most efficient on,
             a set is kept if enough of its gain lies in cells that no set so far holds and that no larger cluster in
             the shard serves more efficiently (`kernels.is_needed`). So every cell that any can serve is served.
-         4. Shrink-wrap: the tightest shaft and the tightest box around exactly the served cells; the lighter is taken.
+         4. Shrink-wrap: the tightest shaft and the tightest box around exactly these cells; the lighter is taken, and
+            serves every cell that it holds.
             Bytes, layers and cost follow from `farfield.impostor.frames`, the same plan that the bake follows.
 Errs     Bytes, layers and cost are upper bounds; a view cell holds every cell that it serves.
 Shards   Ranges of clusters in preorder, from a rule that knows nothing of workers.
@@ -162,17 +163,17 @@ def generate(
             weight, efficiency = np.empty(n), np.empty(n)
             kernels.weigh_sets(row, member, gain, work.cell_box, box, work.delta, work.dl, weight, efficiency)
             order = np.argsort(-efficiency, kind="stable")
-            kept, view_cell = np.empty(n, dtype=np.int64), np.zeros((n, 9))
-            number, served = np.empty((n, 3), np.int64), np.empty((n, 2), np.int64)
+            inside, view_cell = np.empty((n, len(useful)), dtype=np.int64), np.zeros((n, 9))
+            number, served = np.empty((n, 3), np.int64), np.empty((n, 3), np.int64)
             reach[c] = np.empty(cells.n_cells)
             count = kernels.choose_sets(
-                order, row, member, gain, work.cell_box, box, work.shafts, work.boxes, work.delta, work.dl, work.screen,
-                work.coefficient, costs[k], work.view_row, weight, efficiency, above, work.share, work.outdone, points, kept,
-                view_cell, number, served, reach[c],
+                order, row, member, useful, gain, work.cell_box, box, work.shafts, work.boxes, work.delta, work.dl,
+                work.screen, work.coefficient, costs[k], work.view_row, weight, efficiency, above, work.share,
+                work.outdone, points, inside, view_cell, number, served, reach[c],
             )  # fmt: skip
             for i in rows.start(c, count, view_cell, number, served):
-                view, saved = np.empty(served[i, 1], dtype=np.int32), np.empty(served[i, 1], dtype=np.int64)
-                of = member[row[kept[i]] : row[kept[i] + 1]]
+                view, saved = np.empty(served[i, 2], dtype=np.int32), np.empty(served[i, 2], dtype=np.int64)
+                of = inside[i, : served[i, 1]]
                 kernels.list_served(costs[k], work.view_row, of, served[i, 0], view, saved)
                 rows.view.append(view)
                 rows.saved.append(saved)
@@ -197,12 +198,12 @@ class _Rows:
         cluster, view_cell, number, served = (
             (np.concatenate(column) for column in zip(*self.parts, strict=True))
             if self.parts
-            else (np.zeros(0), np.zeros((0, 9)), np.zeros((0, 3)), np.zeros((0, 2)))
+            else (np.zeros(0), np.zeros((0, 9)), np.zeros((0, 3)), np.zeros((0, 3)))
         )
         return Candidates(
             cluster=cluster.astype(np.int32), kind=number[:, 0].astype(np.uint8), view_cell=view_cell,
             bytes=number[:, 1].astype(np.int64), layers=number[:, 2].astype(np.int32),
-            cost=served[:, 0].astype(np.int64), row=np.concatenate([[0], np.cumsum(served[:, 1])]).astype(np.int64),
+            cost=served[:, 0].astype(np.int64), row=np.concatenate([[0], np.cumsum(served[:, 2])]).astype(np.int64),
             view=np.concatenate(self.view) if self.view else np.zeros(0, np.int32),
             saved=np.concatenate(self.saved) if self.saved else np.zeros(0, np.int64),
         )  # fmt: skip

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from farfield.impostor.cells import wrap_box, wrap_shaft
+from farfield.impostor.cells import shaft_holds, wrap_box, wrap_shaft
 from farfield.impostor.frames import SHAFT, TEXEL, TEXELS, S, lay_out_best, weigh_quickly
 from farfield.impostor.kernels import cut_triangles
 from farfield.impostor.weight import IMPOSTOR_BYTES, LAYER_BYTES, MAX_LAYER_TRIANGLES, MAX_LAYERS, TEXEL_BYTES
@@ -16,6 +16,7 @@ DISTANCES = 11  # smallest distances of raw shafts: 2^0 .. 2^10 cluster sizes
 ANGLES_DEG = (11.25, 22.5, 45.0, 90.0)  # apex angles of raw shafts
 _HALF_SIN = np.sin(np.radians(np.array(ANGLES_DEG) / 2))
 _HALF_COS = np.cos(np.radians(np.array(ANGLES_DEG) / 2))
+ROOM = 2  # layers that a set may seem to need, in the quick view, of those that an impostor may have
 _SEED = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -206,8 +207,9 @@ def cell_gains(costs, excess, view_row, floor, gain):
 @njit(cache=True)
 def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, weight, efficiency):
     """Fill for each set: weight (S,) f64 bytes by `weigh_quickly` for its bounding box, efficiency (S,) f64 gain a byte."""
-    axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((MAX_LAYERS, 2))
-    plane, near, far = np.empty(MAX_LAYERS), np.empty(MAX_LAYERS), np.empty(MAX_LAYERS)
+    room = ROOM * MAX_LAYERS
+    axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((room, 2))
+    plane, near, far = np.empty(room), np.empty(room), np.empty(room)
     cell = np.empty(9)
     for i in range(len(row) - 1):
         cells = member[row[i] : row[i + 1]]
@@ -297,14 +299,33 @@ def list_served(costs, view_row, cells, cost, view, saved):
 
 
 @njit(cache=True)
-def choose_sets(
-    order, row, member, gain, cell_box, cluster, shafts, boxes, delta, dl, screen, coefficient, costs, view_row,
-    weight, efficiency, above, share, outdone, points, kept, view_cell, number, served, reach,
-):  # fmt: skip
-    """Keep the sets that are needed, in `order`, and fit them. Return how many.
+def cells_inside(kind, view_cell, useful, cell_box, out):
+    """Write those of the useful cells that lie in a view cell, ascending; return how many."""
+    n = 0
+    for i in useful:
+        inside = True
+        if kind == SHAFT:
+            inside = shaft_holds(view_cell, cell_box[i])
+        else:
+            for k in range(3):
+                inside &= view_cell[k] <= cell_box[i, 0, k] and cell_box[i, 1, k] <= view_cell[3 + k]
+        if inside:
+            out[n] = i
+            n += 1
+    return n
 
-    kept  (S,) their numbers; view_cell (S,9); number (S,3) i64: kind, bytes, layers; served (S,2) i64: cost, views
-    reach  (L,) out: the greater of `above` and the efficiency of the best kept set that holds each cell
+
+@njit(cache=True)
+def choose_sets(
+    order, row, member, useful, gain, cell_box, cluster, shafts, boxes, delta, dl, screen, coefficient, costs, view_row,
+    weight, efficiency, above, share, outdone, points, inside, view_cell, number, served, reach,
+):  # fmt: skip
+    """Keep the sets that are needed, in `order`, fit them, and let them serve whatever their view cell holds.
+
+    Return how many. The outputs have a row for each:
+    inside  (S,U) i64 its cells; view_cell (S,9); number (S,3) i64 kind, bytes, layers; served (S,3) i64 cost, cells, views
+    reach   (L,) out: the greater of `above` and the efficiency of the best kept set that holds each cell
+    No two have the same view cell: the second would find all its cells held.
     """
     held = np.zeros(len(above), dtype=np.bool_)
     count = 0
@@ -320,14 +341,14 @@ def choose_sets(
         )
         if kind < 0:
             continue
-        views = count_served(costs, view_row, cells, cost)
+        m = cells_inside(kind, view_cell[count], useful, cell_box, inside[count])
+        views = count_served(costs, view_row, inside[count, :m], cost)
         if views == 0:
             continue
-        kept[count] = i
         number[count, 0], number[count, 1], number[count, 2] = kind, size, layers
-        served[count, 0], served[count, 1] = cost, views
-        count += 1
-        for k in cells:
+        served[count, 0], served[count, 1], served[count, 2] = cost, m, views
+        for k in inside[count, :m]:
             held[k] = True
             reach[k] = max(reach[k], efficiency[i])
+        count += 1
     return count
