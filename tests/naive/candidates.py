@@ -74,7 +74,9 @@ def candidates(hierarchy, model, cells, views, settings, nodes):
         box = hierarchy.box[c]
         sets = []
         for members in raw_sets(box, cells, sorted(gain), shafts=wanted != "boxes", boxes=wanted != "shafts"):
-            weight = weigh_quickly(box, fit_box(cells.cell_box[list(members)]), p.delta, p.dl, *scratch)
+            weight = weigh_quickly(
+                len(members) == 1, box, fit_box(cells.cell_box[list(members)]), p.delta, p.dl, *scratch
+            )
             if weight < math.inf:
                 sets.append((sum(gain[i] for i in members) / weight, members))
         sets.sort(key=lambda s: -s[0])

@@ -16,7 +16,7 @@ DISTANCES = 11  # smallest distances of raw shafts: 2^0 .. 2^10 cluster sizes
 ANGLES_DEG = (11.25, 22.5, 45.0, 90.0)  # apex angles of raw shafts
 _HALF_SIN = np.sin(np.radians(np.array(ANGLES_DEG) / 2))
 _HALF_COS = np.cos(np.radians(np.array(ANGLES_DEG) / 2))
-ROOM = 2  # layers that a set may seem to need, in the quick view, of those that an impostor may have
+ROOM = 2  # times the layers an impostor may have, that a single cell may seem to need in the quick view
 _SEED = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -206,7 +206,11 @@ def cell_gains(costs, excess, view_row, floor, gain):
 
 @njit(cache=True)
 def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, weight, efficiency):
-    """Fill for each set: weight (S,) f64 bytes by `weigh_quickly` for its bounding box, efficiency (S,) f64 gain a byte."""
+    """Fill for each set: weight (S,) f64 bytes by `weigh_quickly` for its bounding box, efficiency (S,) f64 gain a byte.
+
+    A set that seems to need too many layers is out (infinite); with one cell it is looked at more patiently, so that no
+    cell is lost.
+    """
     room = ROOM * MAX_LAYERS
     axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((room, 2))
     plane, near, far = np.empty(room), np.empty(room), np.empty(room)
@@ -217,7 +221,7 @@ def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, weight, efficien
         for k in cells:
             total += gain[k]
         wrap_box(cell_box, cells, cell)
-        weight[i] = weigh_quickly(cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
+        weight[i] = weigh_quickly(len(cells) == 1, cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
         efficiency[i] = total / weight[i]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from farfield.impostor.kernels import stack, vertex_terms
-from farfield.impostor.weight import IMPOSTOR_BYTES, LAYER_BYTES, MAX_SIDE, TEXEL_BYTES
+from farfield.impostor.weight import IMPOSTOR_BYTES, LAYER_BYTES, MAX_LAYERS, MAX_SIDE, TEXEL_BYTES
 
 SHAFT, BOX = 0, 1  # as in farfield.candidates.model
 # reference viewpoints that are tried: of a box cell's depth, of the width of a shaft's near end
@@ -312,16 +312,20 @@ def lay_out_best(
 
 @njit(cache=True)
 def weigh_quickly(
-    cluster: np.ndarray, cell: np.ndarray, delta: float, dl: float, axes: np.ndarray, plane: np.ndarray,
-    near: np.ndarray, far: np.ndarray, crop: np.ndarray, frame: np.ndarray,
+    patient: bool, cluster: np.ndarray, cell: np.ndarray, delta: float, dl: float, axes: np.ndarray,
+    plane: np.ndarray, near: np.ndarray, far: np.ndarray, crop: np.ndarray, frame: np.ndarray,
 ) -> float:  # fmt: skip
-    """Return the bytes of an impostor for a box cell from one viewpoint in the first frame that does; infinite if none.
+    """Return the bytes of an impostor for a box cell from one viewpoint in one frame, infinite if none: to compare many.
 
-    For comparing many cells. One viewpoint takes more layers than the best of a dozen: give it more room for them.
+    patient  try the other frames too, and with all the room that the arrays have; else MAX_LAYERS. (One viewpoint takes
+             more layers than the best of a dozen.)
     """
+    room = len(plane) if patient else min(MAX_LAYERS, len(plane))
     for choice in (0, 2, 1):
         if face_cluster(False, cluster, cell, choice, axes):
-            count = lay_out(False, axes, cluster, cell, ONE_VIEWPOINT, delta, dl, plane, near, far, crop, frame)
+            count = lay_out(False, axes, cluster, cell, ONE_VIEWPOINT, delta, dl, plane[:room], near, far, crop, frame)
             if count > 0:
                 return TEXEL_BYTES * frame[TEXELS] + IMPOSTOR_BYTES + LAYER_BYTES * count
+            if not patient and count != TOO_NEAR:
+                return np.inf
     return np.inf
