@@ -18,6 +18,8 @@
 Each message says what is wrong, where, and what to do. `code` is the stable name that the API and `--json` show.
 """
 
+from typing import Any
+
 
 class FarfieldError(Exception):
     """Root of the tree. `advice` is a sentence on what to do."""
@@ -27,6 +29,16 @@ class FarfieldError(Exception):
     @property
     def code(self) -> str:
         return type(self).__name__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Cross a process border with message and facts: `__init__` takes other arguments than the message."""
+        return _revived, (type(self), self.args, self.__dict__)
+
+
+def _revived(cls: type[FarfieldError], args: tuple[Any, ...], facts: dict[str, Any]) -> FarfieldError:
+    error = cls.__new__(cls, *args)
+    error.__dict__.update(facts)
+    return error
 
 
 class SceneError(FarfieldError):

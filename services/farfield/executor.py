@@ -8,12 +8,14 @@ import hashlib
 import json
 import mmap
 import os
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +115,19 @@ def _merge(stage: Stage, paths: _Paths, pieces: list[Path], out: Path) -> int:
     return peak_bytes()
 
 
+def _end_with_parent() -> None:
+    """End this process when its parent is gone: a killed `farfield place` leaves no work running."""
+    parent = parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 class Executor:
     """Walks the pipeline over one scene; artifacts live as files in `work`."""
 
@@ -121,16 +136,21 @@ class Executor:
         self.paths = _Paths(settings, scene_file, {}, {})
         self.stages: list[StageRun] = []
         self._pool: ProcessPoolExecutor | None = None
+        self._others: set[BaseProcess] = set()
 
     def __enter__(self) -> "Executor":
         for name, value in THREADS.items():
             os.environ.setdefault(name, value)
-        self._pool = ProcessPoolExecutor(self.workers, mp_context=get_context("spawn"))
+        self._others = set(active_children())
+        self._pool = ProcessPoolExecutor(self.workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
         self.paths.digests[Stage.SCENE] = file_digest(self.paths.scene_file)
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
         assert self._pool is not None
+        if kind is not None:  # nobody waits for a shard whose job is over
+            for process in set(active_children()) - self._others:
+                process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def artifact(self, stage: Stage) -> Any:
@@ -157,7 +177,7 @@ class Executor:
             else:
                 (piece,) = pieces
                 piece.replace(out)
-        except BrokenProcessPool as error:
+        except (BrokenProcessPool, MemoryError) as error:
             raise StageFailed(stage, "a process died, most likely for lack of memory; try fewer --workers") from error
         self.paths.artifacts[stage] = out
         self.paths.digests[stage] = file_digest(out)

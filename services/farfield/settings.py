@@ -10,6 +10,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, Literal
 
 from farfield.errors import SettingsInvalid
@@ -84,12 +85,13 @@ def parse_budget(text: str) -> Budget:
     match = re.fullmatch(r"\s*([0-9][0-9_]*(?:\.[0-9]+)?)\s*(ms|calls?|triangles?)\s*", text)
     if not match:
         raise SettingsInvalid("budget", f'{text!r} is not of the form "16 ms", "300 calls" or "200000 triangles"')
-    number, word = float(match[1].replace("_", "")), match[2]
+    # Exact: in floats 16.67 ms is no whole number of nanoseconds. What is longer than 40 digits is no amount.
+    amount, word = Fraction(match[1].replace("_", "") if len(match[1]) <= 40 else "1e40"), match[2]
     if word == "ms":
-        unit, amount = "ns", number * 1e6
+        unit, amount = "ns", amount * 1_000_000
     else:
-        unit, amount = ("calls" if word.startswith("call") else "triangles"), number
-    if amount != math.floor(amount) or amount > 2**53:
+        unit = "calls" if word.startswith("call") else "triangles"
+    if amount.denominator != 1 or amount > 2**53:
         raise SettingsInvalid("budget", f"{text!r} is not a whole number of {unit}, or too large")
     return Budget(typing.cast(Unit, unit), int(amount))
 

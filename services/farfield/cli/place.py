@@ -4,7 +4,9 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import sys
+import tempfile
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,8 @@ from farfield.executor import Executor
 from farfield.pipeline import write_files
 from farfield.settings import Settings, check, from_mapping
 from farfield.stages import Stage
+
+WRITTEN = ("scene.glb", "report.json", "placement")  # what a job leaves in its folder
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -41,12 +45,30 @@ def load_settings(path: Path | None, budget: str | None) -> Settings:
     if path is not None:
         try:
             settings = from_mapping(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
             raise SettingsInvalid("--settings", f"{path} cannot be read: {error}") from error
     if budget is not None:
         settings = replace(settings, budget=budget)
     check(settings)
     return settings
+
+
+def _work_folder(scene: Path, out: Path) -> Path:
+    """Return a new empty folder in `out`. Refuses outputs that would replace the scene, or files that are no output."""
+    replaced = [out / name for name in WRITTEN if (out / name).exists()]
+    if scene.resolve() in [path.resolve() for path in replaced]:
+        raise SettingsInvalid("--out", f"{scene} would be replaced; choose another folder")
+    if replaced and not (out / "placement" / "manifest.json").is_file():
+        raise SettingsInvalid("--out", f"{replaced[0]} is not of farfield and would be replaced; choose another folder")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=".work-", dir=out))
+    except OSError as error:
+        raise SettingsInvalid("--out", f"cannot be written to: {error}") from error
+
+
+def _stop(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,9 +80,8 @@ def run(args: argparse.Namespace) -> int:
     settings = load_settings(args.settings, args.budget)
     if not args.scene.is_file():
         raise SceneUnreadable(f"{args.scene} is not a file")
-    work = args.out / "work"
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
+    work = _work_folder(args.scene, args.out)
+    signal.signal(signal.SIGTERM, _stop)  # so that a job that is told to end takes its work folder with it
     console = Console(stderr=True, quiet=args.json)
     columns = (
         TextColumn("{task.description:12}"),
@@ -93,10 +114,13 @@ def run(args: argparse.Namespace) -> int:
                     bars.update(tasks[stage], total=1, completed=1)
                     bars.stop_task(tasks[stage])
                 report = build_report(executor.inputs(*executor.paths.artifacts), executor.stages)
-                for old in (args.out / "placement", args.out / "scene.glb", args.out / "report.json"):
-                    shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)
-                write_files(executor.artifact(Stage.PLACEMENTDB), args.out)
-        (args.out / "report.json").write_text(json.dumps(report, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+                write_files(executor.artifact(Stage.PLACEMENTDB), work / "done")
+        text = json.dumps(report, indent=1, sort_keys=True) + "\n"
+        (work / "done" / "report.json").write_text(text, encoding="utf-8")
+        for name in WRITTEN:  # all is written by now: what was there before is never replaced by half a placement
+            old = args.out / name
+            shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)
+            (work / "done" / name).rename(old)
     finally:
         shutil.rmtree(work, ignore_errors=True)
     if args.json:

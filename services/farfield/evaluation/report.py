@@ -111,7 +111,9 @@ def _manifest(artifact: Any) -> dict[str, Any]:
 def _smallest(model: CostModel, views: ProblemViews, placement: Placement) -> dict[str, Any]:
     """Return the least budget that every view can meet, as an amount and as the text of a setting (rounded up)."""
     amount = max(int(placement.smallest_budget), model.per_frame) if len(views.cell) else model.budget
-    text = f"{math.ceil(amount / 10_000) / 100:g} ms" if model.unit == "ns" else f"{amount} {model.unit}"
+    hundredths = -(-amount // 10_000)
+    ms = f"{hundredths // 100}.{hundredths % 100:02}".rstrip("0").rstrip(".")
+    text = f"{ms} ms" if model.unit == "ns" else f"{amount} {model.unit}"
     return {"amount": amount, "text": text}
 
 

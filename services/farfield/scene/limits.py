@@ -20,6 +20,7 @@ class Limits:
     triangles: int = 50_000_000  # stored ones: an instance adds none
     vertices: int = 150_000_000
     reach_m: float = 1e9  # the farthest coordinate from the origin, metres
+    cells: int = 250_000  # of the view space, roughly: a cell takes about 10 ms, and may have a thousand problem views
     image_pixels: int = 8192 * 8192  # of one texture
     texture_pixels: int = 2**30  # of all textures
 

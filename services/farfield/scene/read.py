@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.errors import SceneFileMissing, SceneOverLimit, SceneUnreadable
+from farfield.errors import SceneFileMissing, SceneOverLimit, SceneUnreadable, SettingsInvalid
+from farfield.geometry.cells import cells_about
 from farfield.scene.derive import Suggestion, grid_origin, object_counts, suggest
 from farfield.scene.files import Folder, SceneFiles, Zip
 from farfield.scene.gltf import read_gltf
@@ -36,7 +37,7 @@ def read_scene(path: str | Path, *, settings: Settings, limits: Limits = Limits(
     settings  unit and axis (`scene`), view space and cell size (`view_space`) override what is derived
     limits    refuse larger levels
     Raises SceneUnreadable, SceneEmpty, SceneIndexOutOfRange, SceneNotFinite, SceneUriRefused, SceneFileMissing,
-    SceneOverLimit.
+    SceneOverLimit, SettingsInvalid where the view space has too many cells or is too far away.
     """
     return inspect_scene(path, settings=settings, limits=limits)[0]
 
@@ -56,6 +57,10 @@ def inspect_scene(
     if reach_m > limits.reach_m:
         raise SceneOverLimit(f"The scene reaches {reach_m:.3g} m from its origin; the limit is {limits.reach_m:.3g} m.")
     suggestion = suggest(level, settings=settings)
+    n_cells = cells_about(np.array(suggestion.boxes), suggestion.cell_m)
+    if n_cells > limits.cells:
+        why = f"cells of {suggestion.cell_m:g} m would be about {n_cells:.3g}; at most {limits.cells} are allowed"
+        raise SettingsInvalid("view_space.cell_m", why)
     split_level(level, cell_m=suggestion.cell_m)
     return _finish(level, suggestion), suggestion
 

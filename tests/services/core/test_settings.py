@@ -12,6 +12,8 @@ from farfield.settings import Budget, Settings, from_mapping, parse_budget, to_m
         ("300 calls", Budget("calls", 300)),
         ("200000 triangles", Budget("triangles", 200_000)),
         ("16.5ms", Budget("ns", 16_500_000)),
+        ("16.67 ms", Budget("ns", 16_670_000)),
+        ("8.3 ms", Budget("ns", 8_300_000)),
         ("1 call", Budget("calls", 1)),
         ("0 ms", Budget("ns", 0)),
     ],
@@ -21,7 +23,8 @@ def test_budgets_are_whole_numbers_of_their_unit(text, budget):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "16", "-1 ms", "1.5 calls", "nan ms", "1e3 ms", "16 s", "99999999999999999999 calls"]
+    "text",
+    ["", "16", "-1 ms", "1.5 calls", "nan ms", "1e3 ms", "16 s", "99999999999999999999 calls", "9" * 5000 + " ms"],
 )
 def test_other_budgets_are_refused(text):
     with pytest.raises(SettingsInvalid, match="budget"):

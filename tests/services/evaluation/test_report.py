@@ -136,6 +136,8 @@ def test_a_budget_in_milliseconds_is_rounded_up(tmp_path: Path) -> None:
     made["model"] = replace(made["model"], unit="ns", budget=16_000_000)
     made["placement"] = replace(made["placement"], smallest_budget=17_123_456)
     assert build_report(job(tmp_path, made), RAN)["smallest_budget"] == {"amount": 17_123_456, "text": "17.13 ms"}
+    made["placement"] = replace(made["placement"], smallest_budget=10**13 + 1)  # no "1e+07 ms", and not rounded down
+    assert build_report(job(tmp_path, made), RAN)["smallest_budget"]["text"] == "10000000.01 ms"
 
 
 def arguments(module: Any, *argv: str) -> argparse.Namespace:
