@@ -25,6 +25,8 @@ def wishes(inputs):
 
 def _act(stage, inputs, shard):
     wish = wishes(inputs)
+    if stage == Stage.SCENE:
+        time.sleep(wish.get("scene_seconds", 0.0))
     if stage == Stage.VIEWSPACE:
         time.sleep(wish.get("seconds", 0.0))
         once = wish.get("crash_once")
@@ -83,7 +85,8 @@ def _inputs_of(stage):
 def _report(inputs, stages):
     verdict = "valid" if Stage.EVALUATION in inputs.artifacts else "unproven"
     listed = [{"name": s.name, "seconds": s.seconds, "skipped": s.skipped, "shards": s.shards} for s in stages]
-    return {"verdict": verdict, "stages": listed}
+    figures = {"bytes": 1500, "hopeless_views": 0, "smallest_budget": {"amount": 9, "text": "9 calls"}}
+    return {"verdict": verdict, "stages": listed, **figures}
 
 
 PIPELINE = Pipeline(

@@ -41,6 +41,16 @@ class SecurityHeaders:
         await self.app(scope, receive, with_headers)
 
 
+def file_inside(folder: Path, path: str) -> Path | None:
+    """Return the file that `path` names below `folder`; None where there is none, or a link leads out of it."""
+    try:
+        root = folder.resolve()
+        found = (root / path).resolve()
+        return found if found.is_relative_to(root) and found.is_file() else None
+    except (OSError, RuntimeError, ValueError):  # a name too long, links in a circle, a null character
+        return None
+
+
 def add_pages(app: FastAPI, web: Path) -> None:
     """Serve the pages in `web` under the addresses that people see; what is there is looked up at every request."""
 
@@ -78,8 +88,7 @@ def add_pages(app: FastAPI, web: Path) -> None:
 
     @app.get("/{path:path}", include_in_schema=False)
     def asset(path: str) -> Response:
-        root = web.resolve()
-        found = (root / path).resolve() if "\0" not in path else root
-        if path.startswith("v1/") or not found.is_relative_to(root) or not found.is_file():
+        found = file_inside(web, path) if not path.startswith("v1/") else None
+        if found is None:
             raise HTTPException(404, f"there is nothing at /{path}")
         return FileResponse(found, headers={"cache-control": HASHED if path.startswith("assets/") else "no-cache"})

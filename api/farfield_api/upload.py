@@ -128,7 +128,11 @@ def _write(file: Any, received: Received, data: bytes) -> None:
 def _filename(disposition: str) -> str:
     message = Message()
     message["content-disposition"] = disposition or "attachment"
-    name = message.get_filename() or ""
+    try:
+        name = message.get_filename() or ""
+    except UnicodeError:  # the charset that it names is not one for text
+        name = ""
+    name = name.encode("utf-8", "replace").decode()  # half a surrogate pair can be stored nowhere
     return re.sub(r"[\x00-\x1f\x7f]", "", name.replace("\\", "/").rsplit("/", 1)[-1])[:255]
 
 
@@ -143,7 +147,10 @@ async def _file_of(request: Request, received: Received) -> AsyncIterator[bytes]
     if not isinstance(boundary, str):
         raise UploadAltered("the form has no boundary")
     part = _FilePart(received)
-    parser = MultipartParser(boundary.encode("latin-1", "replace"), part.callbacks())  # type: ignore[arg-type]
+    try:
+        parser = MultipartParser(boundary.encode("latin-1", "replace"), part.callbacks())  # type: ignore[arg-type]
+    except ValueError as error:
+        raise UploadAltered("the form's boundary is too long") from error
     async for chunk in request.stream():
         try:
             parser.write(chunk)

@@ -161,10 +161,16 @@ def test_the_files_of_a_job_come_in_ranges_and_stay_in_caches(service, worker):
     assert service.client.get(f"/v1/placements/{again}/pages/p.bin").headers["etag"] == etag
 
 
-@pytest.mark.parametrize("path", ["..%2f..%2fsecret.txt", "%2e%2e/%2e%2e/secret.txt", "nothing.bin", "", "%00"])
+@pytest.mark.parametrize(
+    "path", ["..%2f..%2fsecret.txt", "%2e%2e/%2e%2e/secret.txt", "nothing.bin", "", "%00", "a" * 300, "circle", "out"]
+)
 def test_no_path_leaves_a_placement(service, worker, path):
     job = service.create()
     worker()
+    folder = service.settings.placements["town"] / "placement"
+    (folder / "circle").symlink_to("circle")
+    (folder / "out").symlink_to(folder.parents[1] / "secret.txt")
+    assert service.client.get(f"/{path}").status_code in (200, 404)  # 200: an empty path is the list of jobs
     for name in ("town", job):
         answer = service.client.get(f"/v1/placements/{name}/{path}")
         assert answer.status_code == 404
@@ -197,3 +203,31 @@ def test_a_job_is_accepted_while_the_broker_is_away(service):
     job = service.create()
     row = jobs.get(service.engine, service.tenant_id, job)
     assert row.state == "queued"
+
+
+def test_deleting_a_job_frees_its_unpacked_files_too(service, worker):
+    job = service.create()
+    worker()
+    assert service.client.get(f"/v1/placements/{job}/manifest.json").status_code == 200
+    unpacked = service.settings.artifacts / "unpacked"
+    assert len(list(unpacked.iterdir())) == 1
+    assert service.client.delete(f"/v1/jobs/{job}").json()["deleted"]
+    assert list(unpacked.iterdir()) == []
+
+
+def test_the_list_of_jobs_shows_what_their_reports_say(service, worker):
+    job = service.create()
+    (waiting,) = service.client.get("/v1/jobs").json()["jobs"]
+    assert [waiting[k] for k in ("bytes", "hopeless_views", "smallest_budget")] == [None, None, None]
+    worker()
+    report = service.client.get(f"/v1/jobs/{job}/report").json()
+    (done,) = service.client.get("/v1/jobs").json()["jobs"]
+    assert (done["bytes"], done["hopeless_views"]) == (report["bytes"], report["hopeless_views"])
+    assert done["smallest_budget"] == report["smallest_budget"]["text"]
+
+
+def test_a_cancelled_stage_grows_no_older(service):
+    job = service.create()
+    service.client.post(f"/v1/jobs/{job}/cancel")
+    first, second = (service.client.get(f"/v1/jobs/{job}").json()["stages"][0]["seconds"] for _ in "12")
+    assert first == second

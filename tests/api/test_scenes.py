@@ -84,3 +84,14 @@ def test_a_damaged_form(service):
     kind = {"content-type": "multipart/form-data; boundary=xyz"}
     for body in (b"--xyz\r\nContent-Dispo", b"--xyz--\r\n", b"rubbish"):
         assert service.client.post("/v1/scenes", content=body, headers=kind).json()["code"] == "UploadAltered"
+    kind = {"content-type": f"multipart/form-data; boundary={'x' * 300}"}
+    assert service.client.post("/v1/scenes", content=b"--", headers=kind).json()["code"] == "UploadAltered"
+
+
+@pytest.mark.parametrize(
+    "name", ["idna''%FFtoy.glb", "unicode_escape''%5Cud800toy.glb", "none''toy.glb", "UTF-8''%FF%00toy.glb"]
+)
+def test_a_name_in_an_odd_charset_is_no_failure_of_the_service(service, name):
+    headers = {"content-disposition": f"attachment; filename*={name}"}
+    answer = service.client.post("/v1/scenes", content=b'{"c": "' + name.encode() + b'"}', headers=headers)
+    assert answer.status_code < 500, answer.text

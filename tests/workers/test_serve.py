@@ -160,3 +160,17 @@ def test_killed_processes_come_back(served, tmp_path):
         time.sleep(0.1)
     done = _submit(served, scene, "--watch")
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("host", ["127.0.0.2", "::1"])
+def test_any_loopback_address_is_answered_and_no_proxy_asked(tmp_path, monkeypatch, host):
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.delenv("NO_PROXY", raising=False)
+    service = Served(tmp_path / "data", "--host", host)
+    try:
+        shown = f"[{host}]" if ":" in host else host
+        assert service.told["url"].startswith(f"http://{shown}:")
+        assert service.data.stat().st_mode & 0o777 == 0o700
+    finally:
+        assert service.stop() == 0

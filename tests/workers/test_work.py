@@ -274,3 +274,74 @@ def test_writers_in_many_threads_never_meet_a_locked_database(in_process):
     with ThreadPoolExecutor(8) as pool:
         assert len(set(pool.map(submit, range(40)))) == 40
     assert threading.active_count() < 20
+
+
+def test_stopping_the_service_is_no_attempt(in_process):
+    job_id, message = in_process.submit()
+    for _ in range(4):
+        assert shards.claim(in_process.engine, message.shard_id, worker="w")
+        assert progress.hand_back(in_process.engine) == 1
+    (message,) = progress.undelivered(in_process.engine)
+    in_process.run(message)
+    assert in_process.job(job_id).state == "done"
+
+
+def test_a_job_that_cannot_move_holds_up_no_other(in_process, monkeypatch):
+    environment = {"DATABASE_URL": str(in_process.engine.url), "BROKER_URL": "memory://", "ARTIFACTS": "none"}
+    for name, value in environment.items():
+        monkeypatch.setenv(f"FARFIELD_{name}", value)
+    from farfield_workers import reconciler
+
+    stuck, message = in_process.submit()
+    held = shards.claim(in_process.engine, message.shard_id, worker="dead")
+    lost = {"digest": "0" * 64, "n_bytes": 33, "key": None, "seconds": 0.0, "peak_bytes": 1}
+    assert shards.commit(in_process.engine, held, **lost)
+    with write(in_process.engine) as tx:
+        tx.execute(sa.update(shard).where(shard.c.job_id == stuck).values(sent_at=now()))
+    _, message = in_process.submit()
+    sent = []
+    for name in ("engine", "artifacts", "pipeline"):
+        monkeypatch.setattr(reconciler, name, lambda name=name: getattr(in_process, name))
+    monkeypatch.setattr(reconciler, "send", sent.extend)
+    assert progress.standing_still(in_process.engine) == [stuck]
+    assert reconciler.reconcile() == 1
+    assert [m.shard_id for m in sent] == [message.shard_id]
+
+
+def test_a_result_deleted_with_another_job_is_computed_again(in_process):
+    first, message = in_process.submit()
+    in_process.run(message)
+    second, message = in_process.submit()
+    commit = shards.commit
+    deleted = []
+
+    def late(*args, **more):
+        if not deleted:
+            deleted.append(jobs.delete(in_process.engine, in_process.tenant_id, first, dry_run=False,
+                                       remove=in_process.artifacts.remove))  # fmt: skip
+        return commit(*args, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shards, "commit", late)
+        in_process.run(message)
+    assert in_process.job(second).state == "done"
+    assert all(in_process.artifacts.has(s["artifact"]) for s in in_process.stages(second).values())
+
+
+def test_a_scene_that_takes_seconds_to_read_is_read(bench):
+    job_id, message = bench.submit(scene_seconds=1.5)
+    (ready,) = _reach(bench, message, "scene")
+    assert bench.work(ready)
+    assert bench.stages(job_id)["scene"]["state"] == "done"
+
+
+def test_a_cancel_ends_the_isolated_process_soon(bench):
+    job_id, message = bench.submit(scene_seconds=20.0)
+    (ready,) = _reach(bench, message, "scene")
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(bench.work, ready)
+        time.sleep(1.0)
+        jobs.cancel(bench.engine, bench.tenant_id, job_id)
+        started = time.monotonic()
+        assert running.result(timeout=15) == []
+    assert time.monotonic() - started < 10

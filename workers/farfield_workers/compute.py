@@ -12,6 +12,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -103,7 +104,7 @@ def compute_isolated(pipeline_name: str, call: Call, out: Path, *, memory_bytes:
     command = [sys.executable, "-m", "farfield_workers.compute"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True) as child:
         try:
-            answer, _ = child.communicate(json.dumps({**order, "seconds": seconds}).encode(), timeout=seconds)
+            answer = _wait(child, json.dumps({**order, "seconds": seconds}).encode(), seconds)
         except subprocess.TimeoutExpired:
             raise FailedElsewhere(
                 "SceneOverLimit", f"reading the scene took more than {seconds} s",
@@ -119,6 +120,19 @@ def compute_isolated(pipeline_name: str, call: Call, out: Path, *, memory_bytes:
     if "error" in told:
         raise FailedElsewhere(**told["error"])
     return Result(**told)
+
+
+def _wait(child: "subprocess.Popen[bytes]", order: bytes, seconds: float) -> bytes:
+    """Return what the child prints. Wakes every second: a cancel arrives as an exception, which a long wait would hold."""
+    end = time.monotonic() + seconds
+    unsent: bytes | None = order
+    while True:
+        try:
+            return child.communicate(unsent, timeout=1.0)[0]
+        except subprocess.TimeoutExpired:
+            unsent = None  # a second call goes on with the rest of the first one's
+            if time.monotonic() > end:
+                raise
 
 
 def main() -> int:

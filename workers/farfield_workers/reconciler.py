@@ -20,10 +20,19 @@ log = logging.getLogger(__name__)
 def reconcile() -> int:
     """Do one round and return how many messages it sent."""
     messages = progress.undelivered(engine())
+    send(messages)  # before anything can fail: they are marked as sent
+    number = len(messages)
     for job_id in progress.standing_still(engine()):
-        messages += progress.advance(engine(), artifacts(), job_id, pipeline().kinds())
-    send(messages)
-    return len(messages)
+        try:
+            messages = progress.advance(engine(), artifacts(), job_id, pipeline().kinds())
+        except sa.exc.OperationalError:
+            raise
+        except Exception:  # one job that cannot move, such as with a lost artifact, must not hold up the others
+            log.exception("job %s cannot be moved on", job_id)
+            continue
+        send(messages)
+        number += len(messages)
+    return number
 
 
 def main() -> None:

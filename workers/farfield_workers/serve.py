@@ -80,6 +80,7 @@ def serve(options: Options) -> int:
         raise ServiceError(
             f"{options.host} is not a loopback address: add --allow-remote, and put TLS in front, to listen there"
         )
+    options.data.mkdir(mode=0o700, parents=True, exist_ok=True)  # levels are not for other users of the machine
     log = options.data / "log"
     log.mkdir(parents=True, exist_ok=True)
     stop = threading.Event()
@@ -109,7 +110,7 @@ def serve(options: Options) -> int:
                 "FARFIELD_SECRET": _secret(options.data / "secret"),
                 "FARFIELD_WEB": os.environ.get("FARFIELD_WEB", str(ROOT / "webviewer" / "dist")),
                 "FARFIELD_PLACEMENTS": json.dumps({n: str(p.resolve()) for n, p in options.placements.items()}),
-                "FARFIELD_HOSTS": "*" if options.allow_remote else "127.0.0.1,localhost,::1",
+                "FARFIELD_HOSTS": "*" if options.allow_remote else ",".join(_names(options.host)),
                 "FARFIELD_FD": str(listening.fileno()),
                 "PYTHONUNBUFFERED": "1",
             }
@@ -136,6 +137,8 @@ def serve(options: Options) -> int:
         finally:
             # The broker goes last: workers that end their shard still talk to it.
             stop_children(children[1:], seconds=STOP_S)
+            if children:
+                _hand_back(engine)
             stop_children(children[:1], seconds=2.0)
             shutil.rmtree(runtime, ignore_errors=True)  # the next start clears what a kill leaves here
     return 0
@@ -184,6 +187,13 @@ def _release(engine: sa.Engine, worker: str) -> None:
         print(f"farfield: the leases of {worker} could not be released: {error}", file=sys.stderr)
 
 
+def _hand_back(engine: sa.Engine) -> None:
+    try:
+        progress.hand_back(engine)
+    except sa.exc.OperationalError as error:  # the next start then counts them as attempts that died
+        print(f"farfield: what ran could not be handed back: {error}", file=sys.stderr)
+
+
 def _announce(options: Options, engine: sa.Engine, url: str, key: str, made: bool) -> None:
     caller = tenants.caller_of_key(engine, key)
     assert caller is not None
@@ -208,12 +218,13 @@ def _announce(options: Options, engine: sa.Engine, url: str, key: str, made: boo
 def _wait_until_ready(url: str, children: list[Child], stop: threading.Event, *, seconds: float = 60.0) -> bool:
     """Return True once the API answers, False when asked to stop. Raises ServiceError."""
     end = time.monotonic() + seconds
+    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # a proxy cannot reach our loopback
     while time.monotonic() < end and not stop.wait(0.1):
         dead = [c for c in children if c.process is not None and c.process.poll() is not None]
         if dead:
             raise ServiceError(f"{dead[0].name} ended at its start; see {dead[0].log}")
         try:
-            with urllib.request.urlopen(f"{url}/readyz", timeout=5.0):
+            with direct.open(f"{url}/readyz", timeout=5.0):
                 return True
         except (urllib.error.URLError, OSError):
             continue
@@ -238,6 +249,11 @@ def _listen(host: str, port: int) -> socket.socket:
 def _url(host: str, port: int) -> str:
     shown = "127.0.0.1" if host == "0.0.0.0" else "[::1]" if host == "::" else f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"
+
+
+def _names(host: str) -> tuple[str, ...]:
+    """Return the Host headers that a service on loopback answers to."""
+    return ("127.0.0.1", "localhost", "[::1]", "::1", f"[{host}]" if ":" in host else host)
 
 
 def _loopback(host: str) -> bool:

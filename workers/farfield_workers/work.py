@@ -77,9 +77,14 @@ def _run(
             found = _compute(pipeline, settings, call, Path(folder) / "artifact")
             artifacts.put_file(Path(folder) / "artifact", found.digest)
             seconds, cached = time.perf_counter() - started, False
+
+    def there() -> None:
+        if not artifacts.has(found.digest):  # the same bytes were another job's, which was deleted meanwhile
+            raise StageFailed(held.stage, "its result was deleted with another job")
+
     ours = shards.commit(
         engine, held, digest=found.digest, n_bytes=found.n_bytes, key=key, seconds=seconds,
-        peak_bytes=found.peak_bytes, cached=cached,
+        peak_bytes=found.peak_bytes, cached=cached, check=there,
     )  # fmt: skip
     if not ours:
         raise ShardStopped

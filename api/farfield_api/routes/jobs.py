@@ -2,6 +2,7 @@
 
 import base64
 import json
+import shutil
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
@@ -17,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 
 from farfield_api.auth import Reader, Submitter
 from farfield_api.errors import RESPONSES, CursorInvalid
+from farfield_api.routes.placements import unpacked_folder
 from farfield_api.state import Service, State
 from farfield_api.times import iso
 
@@ -84,9 +86,11 @@ def cancel(job_id: str, caller: Submitter, service: Service) -> dict[str, Any]:
 
 @router.delete("/{job_id}", summary="Delete an ended job with what only it needs; `dry_run` says what that is")
 def delete(job_id: str, caller: Submitter, service: Service, dry_run: bool = False) -> dict[str, Any]:
-    counts, digests = jobs.delete(service.engine, caller.tenant_id, job_id, dry_run=dry_run)
-    for digest in digests:
+    def remove(digest: str) -> None:
         service.artifacts.remove(digest)
+        shutil.rmtree(unpacked_folder(service.artifacts, digest), ignore_errors=True)
+
+    counts, _ = jobs.delete(service.engine, caller.tenant_id, job_id, dry_run=dry_run, remove=remove)
     return {"deleted": not dry_run, **counts}
 
 
@@ -155,9 +159,11 @@ def _shown(service: State, tenant_id: str, job_id: str) -> dict[str, Any]:
 def _brief(row: Any, stages: list[dict[str, Any]]) -> dict[str, Any]:
     at = next((s["name"] for s in stages if s["state"] not in ("done", "skipped", "failed", "waiting")), None)
     ready = row.state == "done"
+    figures = row.figures or {}
     return {
         "id": row.id, "name": row.name, "scene": row.scene_digest, "budget": row.settings.get("budget"),
         "state": row.state, "verdict": row.verdict, "error": row.error, "stage": at,
+        **{key: figures.get(key) for key in ("bytes", "hopeless_views", "smallest_budget")},
         "progress": 1.0 if ready else _progress(stages),
         "created_at": iso(row.created_at), "started_at": iso(row.started_at), "finished_at": iso(row.finished_at),
         "links": {

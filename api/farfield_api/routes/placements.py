@@ -17,12 +17,13 @@ from farfield.columns import unpack_files
 from farfield.errors import JobNotFinished, JobNotFound, PlacementNotFound
 from farfield.stages import Stage
 from farfield.store import jobs
-from farfield.store.artifacts import sync_folder
+from farfield.store.artifacts import LocalArtifacts, sync_folder
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
 from farfield_api.auth import Reader
 from farfield_api.errors import RESPONSES
+from farfield_api.pages import file_inside
 from farfield_api.state import Service, State
 
 router = APIRouter(prefix="/v1/placements", tags=["placements"], responses=RESPONSES)
@@ -71,14 +72,18 @@ def show(placement: str, path: str, request: Request, caller: Reader, service: S
     return FileResponse(found, headers=headers, media_type=media_type)
 
 
+def unpacked_folder(artifacts: LocalArtifacts, digest: str) -> Path:
+    """Return where the files of a job's placement lie once they have been asked for."""
+    return artifacts.root / "unpacked" / digest
+
+
 def unpacked(service: State, tenant_id: str, job_id: str) -> tuple[Path, str]:
     """Return (folder with the job's files, digest of its artifact). Raises JobNotFound, JobNotFinished."""
     row = jobs.get(service.engine, tenant_id, job_id)
-    stages = {s["name"]: s["artifact"] for s in jobs.stages_of(service.engine, job_id)}
-    digest = stages.get(Stage.PLACEMENTDB)
+    digest = jobs.artifact_of(service.engine, job_id, Stage.PLACEMENTDB)
     if row.state != "done" or digest is None:
         raise JobNotFinished(job_id, row.state)
-    folder = service.artifacts.root / "unpacked" / digest
+    folder = unpacked_folder(service.artifacts, digest)
     if not folder.is_dir():
         temporary = Path(tempfile.mkdtemp(dir=service.artifacts.temporary, prefix="unpack-"))
         try:
@@ -99,13 +104,9 @@ def unpacked(service: State, tenant_id: str, job_id: str) -> tuple[Path, str]:
             shutil.rmtree(temporary, ignore_errors=True)
             if not folder.is_dir():
                 raise
-    return folder, str(digest)
+    return folder, digest
 
 
 def _inside(folder: Path, path: str) -> Path | None:
     """Return the file that `path` names: scene.glb and report.json at the top, all else in placement/."""
-    root = folder if path in ("scene.glb", "report.json") else folder / "placement"
-    if "\0" in path:
-        return None
-    found = (root / path).resolve()
-    return found if found.is_relative_to(root.resolve()) and found.is_file() else None
+    return file_inside(folder if path in ("scene.glb", "report.json") else folder / "placement", path)

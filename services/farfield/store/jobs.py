@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -104,6 +104,14 @@ def stages_of(engine: sa.Engine, job_id: str) -> list[dict[str, Any]]:
     return found
 
 
+def artifact_of(engine: sa.Engine, job_id: str, stage_name: str) -> str | None:
+    """Return the digest of the stage's result, None where there is none (yet)."""
+    with read(engine) as tx:
+        return tx.scalar(
+            sa.select(stage.c.artifact_digest).where(stage.c.job_id == job_id, stage.c.name == stage_name)
+        )  # fmt: skip
+
+
 def shards_of(engine: sa.Engine, job_id: str, stage_name: str) -> list[sa.Row[Any]]:
     """Return the stage's shards, in order of kind and place."""
     with read(engine) as tx:
@@ -140,12 +148,16 @@ def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
         ).rowcount  # fmt: skip
         if not updated:
             return str(row.state)
+        begun = stage.c.started_at.is_not(None) & stage.c.finished_at.is_(None)
+        tx.execute(sa.update(stage).where(stage.c.job_id == job_id, begun).values(finished_at=now()))
         drop_shards(tx, job_id)
         events.append(tx, job_id, "job", {"state": "cancelled"})
         return "cancelled"
 
 
-def delete(engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool) -> tuple[dict[str, int], list[str]]:
+def delete(
+    engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool, remove: Callable[[str], object] = bool
+) -> tuple[dict[str, int], list[str]]:
     """Delete an ended job and the artifacts that nothing else needs; return what, and the digests of those artifacts.
 
     The caller removes the blobs afterwards: a crash in between leaves blobs without a row, never a row without its
@@ -171,6 +183,8 @@ def delete(engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool) -> 
         digests = [digest for digest, _ in lone]
         for start in range(0, len(digests), 500):
             tx.execute(sa.delete(artifact).where(artifact.c.digest.in_(digests[start : start + 500])))
+        for digest in digests:
+            remove(digest)
         return counts, digests
 
 

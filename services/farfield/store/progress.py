@@ -114,6 +114,18 @@ def release_worker(engine: sa.Engine, worker: str | None) -> int:
         ).rowcount
 
 
+def hand_back(engine: sa.Engine) -> int:
+    """Make what runs ready again. Only for who has stopped all workers: a stop is no fault of a shard, and no attempt.
+
+    Else three stops of the service during a long shard would fail its job.
+    """
+    with write(engine) as tx:
+        return tx.execute(
+            sa.update(shard).where(shard.c.state == "running")
+            .values(state="ready", attempt=shard.c.attempt - 1, lease_until=None, sent_at=None)
+        ).rowcount  # fmt: skip
+
+
 def forget_sent(engine: sa.Engine) -> None:
     """Take all messages for lost: the broker is a new one, so whatever is ready is to be sent again now."""
     with write(engine) as tx:
@@ -147,9 +159,11 @@ def _step(
             fail_job(tx, job_id, at.id, error)
             return True, []
         drop_shards(tx, job_id)
-        if _set(tx, at, "reporting" if at is stages[-1] else "failed", skipped=f"failed: {error.get('message')}"):
-            return True, _add(tx, at, "report", [None], Queue.CPU) if at is stages[-1] else []
-        return False, []
+        reason = f"failed: {error.get('message')}"
+        if at is not stages[-1]:
+            return _set(tx, at, "failed", skipped=reason, finished_at=now()), []
+        moved = _set(tx, at, "reporting", skipped=reason)
+        return moved, _add(tx, at, "report", [None], Queue.CPU) if moved else []
     done = {k: [s for s in shards if s.kind == k and s.state == "done"] for k in ("plan", "run", "merge", "report")}
     if at.state == "waiting":
         if _set(tx, at, "planning", started_at=now(), queue=kind.queue):
@@ -172,18 +186,25 @@ def _step(
         return _finish(tx, at, done["merge"][0].artifact_digest, last=at is stages[-1])
     elif at.state == "reporting" and done["report"]:
         digest = done["report"][0].artifact_digest
-        verdict = json.loads(bytes(artifacts.buffer(digest))).get("verdict")
+        report = json.loads(bytes(artifacts.buffer(digest)))
+        verdict = report.get("verdict")
         final = "done" if at.artifact_digest else "failed"
         if at.skipped and at.artifact_digest:
             final = "skipped"
         if _set(tx, at, final, finished_at=now()):
             tx.execute(
                 sa.update(job).where(job.c.id == job_id)
-                .values(state="done", verdict=verdict, report_digest=digest, finished_at=now())
+                .values(state="done", verdict=verdict, report_digest=digest, figures=_figures(report), finished_at=now())
             )  # fmt: skip
             events.append(tx, job_id, "job", {"state": "done", "verdict": verdict})
             return True, []
     return False, []
+
+
+def _figures(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What a list of jobs shows of each, so that it need not read their reports."""
+    smallest = (report.get("smallest_budget") or {}).get("text")
+    return {"bytes": report.get("bytes"), "hopeless_views": report.get("hopeless_views"), "smallest_budget": smallest}
 
 
 def _finish(tx: sa.Connection, at: sa.Row[Any], digest: str, *, last: bool) -> tuple[bool, list[Message]]:

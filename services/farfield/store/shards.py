@@ -6,7 +6,7 @@ Locks    The job's row first, then the shard's: everybody takes them in this ord
 Fence    A shard on the optimizer queue also takes the job's one optimizer lease, with a token that grows.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,9 +121,12 @@ def known_result(engine: sa.Engine, key: str) -> Any:
 
 def commit(
     engine: sa.Engine, held: Claim, *, digest: str, n_bytes: int, key: str | None, seconds: float, peak_bytes: int,
-    cached: bool = False,
+    cached: bool = False, check: Callable[[], object] = bool,
 ) -> bool:  # fmt: skip
-    """Write the shard's result if the attempt is still ours (and the fence still the newest); say whether it was."""
+    """Write the shard's result if the attempt is still ours (and the fence still the newest); say whether it was.
+
+    `check` is called in the transaction, once nobody can delete the artifact any more: it raises where it is gone.
+    """
     with write(engine) as tx:
         lock_job(tx, held.job_id)
         if held.fence is not None:
@@ -132,6 +135,7 @@ def commit(
                 return False
             _release_optimizer(tx, held)
         put_artifact(tx, digest, n_bytes)
+        check()
         alive = sa.select(job.c.id).where(job.c.id == held.job_id, job.c.state == "running")
         updated = tx.execute(
             sa.update(shard).where(_ours(held), alive.exists()).values(

@@ -142,6 +142,7 @@ job = sa.Table(
     sa.Column("state", sa.String(10), nullable=False),
     sa.Column("verdict", sa.String(20), nullable=True),
     _artifact("report_digest"),
+    sa.Column("figures", sa.JSON(none_as_null=True), nullable=True),  # of the report: bytes, hopeless views, budget
     sa.Column("error", sa.JSON(none_as_null=True), nullable=True),  # code, message, advice, stage
     sa.Column("event_seq", sa.BigInteger, nullable=False),  # number of its last event
     sa.Column("optimizer_token", sa.BigInteger, nullable=False),  # fence: grows with every lease

@@ -42,6 +42,10 @@ export interface Job {
   error: JobError | null;
   stage: Stage | null;
   progress: number;
+  /** Of the report, once there is one. */
+  bytes: number | null;
+  hopeless_views: number | null;
+  smallest_budget: string | null;
   created_at: string;
   started_at: string | null;
   finished_at: string | null;

@@ -1,10 +1,10 @@
 /** The list of jobs: read in pages, kept fresh while anything runs, filtered in the address. */
-import { cancelJob, explain, listJobs, readJob, readReport, Refused } from "../api/client";
+import { cancelJob, explain, listJobs, readJob, Refused } from "../api/client";
 import type { Job } from "../api/types";
 import { h, refill } from "./element";
 import { historyOf, Ratchet, type History } from "./estimate";
 import { confirmed, failed, note, onKey, showLine } from "./frame";
-import { COLUMNS, fillRow, makeRow, type Figures, type RowData } from "./job_row";
+import { COLUMNS, fillRow, makeRow, type RowData } from "./job_row";
 
 const BUSY_MS = 1500;
 const IDLE_MS = 10_000;
@@ -103,10 +103,10 @@ export class JobList {
   private put(job: Job): void {
     const held = this.rows.get(job.id);
     if (held) held.data.job = job;
-    else this.rows.set(job.id, { row: makeRow(), data: { job, detail: null, figures: null } });
+    else this.rows.set(job.id, { row: makeRow(), data: { job, detail: null } });
   }
 
-  /** Stages of what runs; for done jobs the figures of their reports, once, those in sight first. */
+  /** Stages of what runs. */
   private async readMore(): Promise<void> {
     const jobs = this.order.map((id) => this.rows.get(id)!.data);
     const running = jobs.filter((d) => d.job.state === "running").slice(0, WATCHED);
@@ -115,25 +115,6 @@ export class JobList {
       for (const d of done) this.histories.push(historyOf((await readJob(d.job.id)).stages));
     }
     for (const d of running) d.detail = await readJob(d.job.id);
-    void this.readFigures();
-  }
-
-  private reading = false;
-  private async readFigures(): Promise<void> {
-    if (this.reading) return;
-    this.reading = true;
-    try {
-      for (const id of this.order) {
-        const held = this.rows.get(id);
-        if (!held || held.data.job.state !== "done" || held.data.figures || !inSight(held.row)) continue;
-        held.data.figures = await figuresOf(held.data.job);
-        this.fill(id);
-      }
-    } catch {
-      // The list stands without them; the next round asks again.
-    } finally {
-      this.reading = false;
-    }
   }
 
   private fill(id: string): void {
@@ -167,7 +148,6 @@ export class JobList {
     const total = `${jobs.length.toLocaleString("en")}${this.cursor ? " or more" : ""}`;
     this.count.textContent = shown.length === jobs.length ? total : `${shown.length.toLocaleString("en")} of ${total}`;
     refill(this.below, JSON.stringify([jobs.length > 0, shown.length > 0, this.search.value, this.cursor]), () => this.underneath(jobs.length, shown.length));
-    void this.readFigures();
   }
 
   private underneath(all: number, shown: number): (Node | null)[] {
@@ -244,20 +224,3 @@ export class JobList {
     event.preventDefault();
   }
 }
-
-function inSight(row: HTMLElement): boolean {
-  const r = row.getBoundingClientRect();
-  return row.isConnected && r.bottom > -200 && r.top < innerHeight + 200;
-}
-
-/** Reports of done jobs never change: kept for the session. */
-async function figuresOf(job: Job): Promise<Figures> {
-  const key = `farfield-figures-${job.id}`;
-  const kept = sessionStorage.getItem(key);
-  if (kept) return JSON.parse(kept) as Figures;
-  const report = await readReport<{ bytes?: number; hopeless_views?: number; smallest_budget?: { text?: string } }>({ job: job.id });
-  const found = { bytes: report.bytes ?? null, hopelessViews: report.hopeless_views ?? 0, smallest: report.smallest_budget?.text ?? "" };
-  sessionStorage.setItem(key, JSON.stringify(found));
-  return found;
-}
-

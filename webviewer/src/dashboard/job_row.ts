@@ -8,17 +8,9 @@ import { jobMark, stateMark, verdictMark } from "./icons";
 
 export const COLUMNS = ["state", "scene", "bud", "prog", "ver", "mem", "age"] as const;
 
-/** What the report of a done job adds to its row. */
-export interface Figures {
-  bytes: number | null;
-  hopelessViews: number;
-  smallest: string;
-}
-
 export interface RowData {
   job: Job;
   detail: JobDetail | null; // of a job that runs
-  figures: Figures | null;
 }
 
 export function makeRow(): HTMLTableRowElement {
@@ -26,7 +18,7 @@ export function makeRow(): HTMLTableRowElement {
 }
 
 export function fillRow(row: HTMLTableRowElement, data: RowData, histories: readonly History[], ratchet: Ratchet, cancel: (job: Job) => void): void {
-  const { job, detail, figures } = data;
+  const { job, detail } = data;
   const [state, scene, budget, progress, verdict, memory, age] = row.cells;
   const old = ago(Date.parse(job.created_at), Date.now());
   const active = job.state === "queued" || job.state === "running";
@@ -39,8 +31,8 @@ export function fillRow(row: HTMLTableRowElement, data: RowData, histories: read
   refill(budget, job.budget, () => [h("span", { class: "nw" }, job.budget)]);
   const found = active && detail ? estimate(detail.stages, histories) : null;
   refill(progress, JSON.stringify([job.state, job.progress, job.stage, job.finished_at, found]), () => progressOf(job, found, ratchet));
-  refill(verdict, JSON.stringify([job.state, job.verdict, figures]), () => verdictOf(job, figures));
-  refill(memory, JSON.stringify(figures?.bytes ?? null), () => (figures?.bytes == null ? [h("span", { class: "q" }, "—")] : [bytes(figures.bytes)]));
+  refill(verdict, JSON.stringify([job.state, job.verdict]), () => verdictOf(job));
+  refill(memory, JSON.stringify(job.bytes), () => (job.bytes === null ? [h("span", { class: "q" }, "—")] : [bytes(job.bytes)]));
   refill(age, old + active, () => [
     h("time", { datetime: job.created_at, title: new Date(job.created_at).toLocaleString(), class: "nw" }, old),
     active ? h("div", null, h("button", { class: "btn plain act", type: "button", "aria-label": `Cancel ${job.name}`, onclick: () => cancel(job) }, "Cancel…")) : null,
@@ -83,9 +75,9 @@ function line(text: string): HTMLElement {
   return h("div", { class: "eta" }, h("span", null, text));
 }
 
-function verdictOf(job: Job, figures: Figures | null): (Node | null)[] {
+function verdictOf(job: Job): (Node | null)[] {
   if (job.verdict) {
-    const why = job.verdict === "infeasible" && figures ? `${plural(figures.hopelessViews, "view")}; ${figures.smallest} works` : "";
+    const why = job.verdict === "infeasible" && job.hopeless_views !== null ? `${plural(job.hopeless_views, "view")}; ${job.smallest_budget} works` : "";
     return [verdictMark(job.verdict), why ? h("small", { class: "q", title: why }, why) : null];
   }
   if (job.state === "failed") return [stateMark("bad", "fail", "none")];

@@ -28,7 +28,7 @@ export function certificate(report: Report, placement: string): HTMLElement {
     checked.push(["Worst of these", `${(100 * verified.worst_ratio).toFixed(1)} %`, "of the budget"]);
   }
   if (known(report.hopeless_views)) rest.push(["Hopeless views", count(report.hopeless_views), known(report.problem_views) ? `of ${count(report.problem_views)}` : ""]);
-  if (report.smallest_budget) rest.push(["Smallest feasible budget", report.smallest_budget.text, "with these candidates"]);
+  if (report.smallest_budget && report.hopeless_views) rest.push(["Smallest feasible budget", report.smallest_budget.text, "with these candidates"]);
   if (known(report.bytes)) rest.push(["Impostor memory", bytes(report.bytes), known(report.impostors) ? plural(report.impostors, "impostor") : ""]);
   if (known(report.lower_bound_bytes) && report.bytes) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `gap ${((100 * report.bytes) / Math.max(report.lower_bound_bytes, 1) - 100).toFixed(1)} %`]);
   if (known(report.file_bytes)) rest.push(["Files", bytes(report.file_bytes), known(report.pages) ? plural(report.pages, "page") : ""]);

@@ -25,7 +25,7 @@ const KEYS: Record<string, string> = { i: "t-impostors", x: "t-split", l: "t-lay
 export class App {
   readonly walker: Walker;
   readonly streamer: Streamer;
-  readonly counts: Counts = { over: 0, overForStreaming: 0 };
+  readonly counts: Counts = { promised: 0, over: 0, overForStreaming: 0 };
   private readonly controls: Controls;
   private readonly clock: FrameClock;
   private readonly overlay: Overlay;
@@ -108,7 +108,10 @@ export class App {
     const { free, overlay, ...rest } = modes;
     Object.assign(this.engine.modes, rest);
     if (free !== undefined) this.walker.setFree(free);
-    if (overlay !== undefined) for (const e of document.querySelectorAll<HTMLElement>(".overlay")) e.hidden = !overlay;
+    if (overlay !== undefined) {
+      for (const e of document.querySelectorAll<HTMLElement>(".overlay:not(#picked)")) e.hidden = !overlay;
+      if (!overlay) setShown("picked", false); // shown again only for what is picked again
+    }
     for (const [id, mode] of Object.entries(TOGGLES)) byId<HTMLInputElement>(id).checked = Boolean(this.engine.modes[mode]);
     byId<HTMLInputElement>("t-fly").checked = this.walker.free;
     if (!this.engine.modes.layers) setShown("picked", false);
@@ -144,8 +147,11 @@ export class App {
     clock.begin();
     engine.draw(this.walker.position, this.walker.direction);
     const s = engine.selection;
-    const over = s.cost > this.placement.manifest.budget.amount;
-    const late = over && engine.modes.impostors && engine.situation.shown.length < engine.situation.impostors;
+    // Without impostors, with a held cell or outside the view space nothing is promised: those frames count as neither.
+    const promised = engine.modes.impostors && !engine.modes.freeze && engine.situation.cell >= 0;
+    const over = promised && s.cost > this.placement.manifest.budget.amount;
+    const late = over && engine.situation.shown.length < engine.situation.impostors;
+    if (promised) this.counts.promised++;
     if (over) this.counts.over++;
     if (late) this.counts.overForStreaming++;
     clock.end(s.cost, s.geometryCost, late);

@@ -28,6 +28,7 @@ export interface Stats {
   position: number[];
   direction: number[];
   overForStreaming: number;
+  over: number; // frames over budget, of those the guarantee speaks of
   residentPages: number;
 }
 
@@ -96,7 +97,7 @@ function read(app: App): Stats {
       impostorsWaiting: situation.impostors - situation.shown.length, coveredPixels: (4 * covered) / ids.length,
       cell: situation.cell, interval: situation.interval, problemView: situation.problemView, hopeless: situation.hopeless,
       inside: insideBoxes(view_space, position), position: [...position], direction: [...direction],
-      overForStreaming: app.counts.overForStreaming, residentPages: engine.pages.residentPages,
+      overForStreaming: app.counts.overForStreaming, over: app.counts.over, residentPages: engine.pages.residentPages,
     };
   });
 }

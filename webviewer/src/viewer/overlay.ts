@@ -10,12 +10,13 @@ import type { Engine } from "./engine";
 import { FRAMES_KEPT, type FrameClock } from "./frame_clock";
 import { DIRECTIONS, type Panorama } from "./panorama";
 
-const LEFT = 24;
+const LEFT = 34; // room for "2,612"
 const RIGHT = 250;
 
 export interface Counts {
   overForStreaming: number; // frames over budget because impostors were not here yet
   over: number; // frames over budget for any reason
+  promised: number; // frames that the guarantee speaks of
 }
 
 export class Overlay {
@@ -34,7 +35,7 @@ export class Overlay {
     const degrees = 90 / (interval_edges.length - 1);
     setText("interval-label", `Interval, ${degrees}°`);
     setText("ms-of", budget.unit === "ns" ? ` of ${(budget.amount / 1e6).toFixed(1)}` : "");
-    setText("verdict", `placement is ${verdict}; ${count(this.manifest.counts.impostors)} impostors, ${bytes(this.manifest.bytes)}`);
+    setText("verdict", `${verdict}; ${plural(this.manifest.counts.impostors)}, ${bytes(this.manifest.bytes)}`);
   }
 
   write(counts: Counts, streamer: Streamer, traffic: Traffic): void {
@@ -46,14 +47,15 @@ export class Overlay {
     const named = cost(selection.cost, budget.unit);
     setText("cost", budget.unit === "ns" ? `predicted ${named}` : `${count(selection.cost)} of ${cost(budget.amount, budget.unit)}`);
     byId("cost").classList.toggle("over", selection.cost > budget.amount);
-    setText("late", `${count(counts.over)} over of ${count(clock.frames)}`);
+    setText("late", `${count(counts.over)} over of ${count(counts.promised)}`);
     setText("calls", count(engine.drawn.calls));
     setText("triangles", short(engine.drawn.triangles));
     setText("resident", ((pages.residentPages * pages.bytesPerPage) / 1e6).toFixed(1));
     setText("resident-of", `of ${((Math.min(pages.slots, manifest.pages.length) * pages.bytesPerPage) / 1e6).toFixed(0)} MB`);
     setText("cell", s.cell < 0 ? "outside" : String(s.cell));
     setText("interval", intervalName(s.interval, manifest.interval_edges.length - 1));
-    setText("impostors", s.shown.length === s.impostors ? String(s.impostors) : `${s.shown.length} of ${s.impostors}`);
+    const used = engine.modes.impostors ? s.shown.length : 0;
+    setText("impostors", used === s.impostors ? String(used) : `${used} of ${s.impostors}`);
     this.writeStreaming(counts, streamer, traffic);
     this.plot();
   }
@@ -166,6 +168,10 @@ export class Overlay {
     setText("picked-saves", `about ${cost(Math.max(0, saved), budget.unit)}`);
     setShown("picked", true);
   }
+}
+
+function plural(impostors: number): string {
+  return `${count(impostors)} impostor${impostors === 1 ? "" : "s"}`;
 }
 
 let failed = false;
