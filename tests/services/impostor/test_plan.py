@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from farfield.errors import ObjectTouchesViewCell, OutOfDomain
 from farfield.impostor.cells import BOX, SHAFT, contains, fit_box, fit_shaft
+from farfield.impostor.metric import Setup, place_layers
 from farfield.impostor.plan import LayerPlan, plan_layers, precision
 from farfield.impostor.weight import LAYER_BYTES, impostor_bytes
 from farfield.settings import CameraSettings, QualitySettings, Settings
@@ -84,8 +85,8 @@ def test_parallax_stays_below_alpha_everywhere_in_the_view_cell():
     ):
         alpha = 2 * math.atan(precision(settings).dl / 2)
         rng = np.random.default_rng(1)
-        for kind, cell, box, plan in plans(1, 150, settings):
-            points = box[0] + rng.uniform(0, 1, (200, 3)).round(rng.integers(0, 2)) * (box[1] - box[0])
+        for kind, cell, box, plan in plans(1, 100, settings):
+            points = box[0] + rng.uniform(0, 1, (150, 3)).round(rng.integers(0, 2)) * (box[1] - box[0])
             # points at the ends of the slabs are the worst: move some of them there along their ray from the eye
             slope, z = slopes_of(plan, points)
             assert (z >= plan.near[0]).all()
@@ -99,7 +100,7 @@ def test_parallax_stays_below_alpha_everywhere_in_the_view_cell():
             direction = slope[:, :1] * plan.right + slope[:, 1:] * plan.up - plan.back
             true = plan.eye + z[:, None] * direction
             shown = plan.eye + plan.plane[layer][:, None] * direction
-            views = viewpoints(kind, cell, rng)
+            views = viewpoints(kind, cell, rng, 200)
             a, b = true[None] - views[:, None], shown[None] - views[:, None]
             angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1))
             assert angle.max() <= alpha * (1 + 1e-7) + 1e-9, (kind, cell, box, angle.max() / alpha)
@@ -229,3 +230,25 @@ def test_shrinking_the_served_set_shrinks_the_fit():
             along = p @ axis
             tangent = np.linalg.norm(np.cross(p, axis), axis=1) / along
             assert (along <= 0).any() or tangent.max() >= b[6] * (1 - 1e-6)
+
+
+def test_centred_cells_need_about_the_layers_of_the_centred_formulas():
+    rng = np.random.default_rng(8)
+    delta, compared = precision(COARSE).delta, []
+    for _ in range(200):
+        half, depth = 10 ** rng.uniform(0, 1.7), 10 ** rng.uniform(0, 2)
+        n, m, t0 = 10 ** rng.uniform(0, 1.5), 10 ** rng.uniform(0, 1.5), 10 ** rng.uniform(1, 2.5)
+        box = np.array([[t0, -half, -half], [t0 + depth, half, half]])
+        cell = np.array([-m, -n / 2, -n / 2, 0, n / 2, n / 2, 0, 0, 0])
+        try:
+            plan = plan_layers(BOX, cell, box, settings=COARSE)
+        except OutOfDomain:
+            continue
+        res = float(plan.resolution[0])
+        width = res * plan.texel[0] * (t0 + plan.depth)
+        setup = Setup(is_box=True, t0=t0, t_far=t0 + depth, w=(width, width), res=(res, res), n=(n, n), m=m,
+                      alpha_rad=2 * math.atan(delta / 2))  # fmt: skip
+        compared.append((len(plan.plane), len(place_layers(setup, s=plan.depth).t)))
+    found, centred = np.array(compared).T
+    assert len(found) > 100
+    assert (abs(found - centred) <= 1 + 0.1 * centred).all()
