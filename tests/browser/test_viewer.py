@@ -226,6 +226,55 @@ def test_walks_by_keyboard_and_toggles_by_key(folders: dict[str, Path], open_pag
             assert page.is_checked(f"#{box}") != was
         page.keyboard.press("h")
         assert page.is_hidden(".h-ft")
+        page.keyboard.press("h")
+        assert page.is_visible(".h-ft")
+        assert page.is_hidden("#picked"), "nothing was picked"
+    assert wrong == []
+
+
+def test_what_was_switched_off_is_not_counted_as_over_budget(
+    folders: dict[str, Path], open_page: Any, tmp_path: Path
+) -> None:
+    page, wrong = open_page()
+    shutil.copytree(folders["placementdb"], tmp_path / "tight")
+    manifest = tmp_path / "tight" / "placement" / "manifest.json"
+    golden = json.loads((manifest.with_name("lookups.json")).read_text())["lookups"]
+    helped = [g for g in golden if g["impostors"] and not g["hopeless"]]
+    with serving({**folders, "tight": tmp_path / "tight"}) as url:
+        page.goto(f"{url}/viewer/tight")
+        loose = max(
+            (_set_view(page, g["position"], g["direction"]) for g in helped),
+            key=lambda s: s["geometryCost"] - s["cost"],
+        )
+        assert loose["geometryCost"] > loose["cost"]
+        stated = json.loads(manifest.read_text())
+        stated["budget"]["amount"] = loose["cost"]
+        manifest.write_text(json.dumps(stated))
+        give_level(tmp_path / "tight", (tmp_path / "tight" / "scene.glb").read_bytes())
+        page.reload()
+        before = _set_view(page, loose["position"], loose["direction"])
+        assert before["over"] == before["overForStreaming"], "what loading made late is said to be so"
+        page.keyboard.press("i")
+        page.wait_for_timeout(300)
+        after = page.evaluate("farfield.stats()")
+        assert after["cost"] > after["budget"]
+        assert after["over"] == before["over"]
+        assert page.inner_text("#impostors").startswith("0 of ")
+    assert wrong == []
+
+
+def test_the_labels_of_the_plots_are_not_cut_off(folders: dict[str, Path], open_page: Any) -> None:
+    page, wrong = open_page()
+    with serving(folders) as url:
+        page.goto(f"{url}/viewer/placementdb")
+        page.evaluate("farfield.ready()")
+        left = page.evaluate("""["plot-top", "around-top"].map((id) => {
+            const label = document.getElementById(id);
+            label.textContent = "2,612";
+            return label.getBoundingClientRect().left - label.ownerSVGElement.getBoundingClientRect().left;
+        })""")
+        assert min(left) >= 0, left
+        assert page.evaluate("document.getElementById('verdict').getClientRects().length") == 1
     assert wrong == []
 
 

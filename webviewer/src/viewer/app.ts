@@ -150,7 +150,7 @@ export class App {
     // Without impostors, with a held cell or outside the view space nothing is promised: those frames count as neither.
     const promised = engine.modes.impostors && !engine.modes.freeze && engine.situation.cell >= 0;
     const over = promised && s.cost > this.placement.manifest.budget.amount;
-    const late = over && engine.situation.shown.length < engine.situation.impostors;
+    const late = over && engine.situation.waiting;
     if (promised) this.counts.promised++;
     if (over) this.counts.over++;
     if (late) this.counts.overForStreaming++;
