@@ -344,7 +344,7 @@ STEPS: dict[Stage, Step] = {
              run=_placement, reads=(_CAMERA, _QUALITY, "placement")),
         Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
-        Step(stage=Stage.REPAIR, version=1, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
+        Step(stage=Stage.REPAIR, version=2, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
         Step(stage=Stage.PLACEMENTDB, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),

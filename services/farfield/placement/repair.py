@@ -4,7 +4,8 @@ Problem  The greedy saw upper bounds only, so measured impostors should be no he
          all the same, or was not baked, the views that show it may miss their targets.
 Method   Measurements enter in id order, once. Views that meet their targets keep what they show; the others show the
          best antichain of what is valid there: the impostors that some view of the same cell shows. Nothing is chosen
-         anew, since that would need another bake; what still fails makes the verdict `unproven`.
+         anew, since that would need another bake; what still fails makes the verdict `unproven`. A view that no
+         combination of candidates could bring to the budget, but what was built does, is hopeless no longer.
 """
 
 from dataclasses import replace
@@ -47,9 +48,27 @@ def repair(
         shown = fastest(offers, cluster=placement.cluster, end=subtree_end(hierarchy.start, hierarchy.stop))
         row, serve = _with_rows(row, serve, offers, shown, missed)
         view_cost = costs(row, serve)
-    return replace(
+    mended = replace(
         placement, bytes=bytes, cost=cost, layers=np.asarray(layers, np.int32), serve_row=row, serve=serve,
         view_cost=view_cost,
+    )  # fmt: skip
+    return _without_false_despair(mended, model, views)
+
+
+def _without_false_despair(placement: Placement, model: CostModel, views: ProblemViews) -> Placement:
+    """Return the placement without hopeless views that meet the budget: what was built can cost less than candidates."""
+    hopeless = placement.hopeless & (placement.view_cost > model.target)
+    kept = hopeless[placement.hopeless]
+    counts = np.diff(placement.culprit_row)
+    smallest = placement.smallest_budget
+    if not hopeless.any():  # then what is shown now proves a budget
+        worst = max(int(placement.view_cost.max(initial=0)), int(views.worst_nonproblem))
+        smallest = min(smallest, model.per_frame + worst)
+    return replace(
+        placement, hopeless=hopeless, view_best=np.minimum(placement.view_best, placement.view_cost),
+        view_target=np.where(hopeless, placement.view_target, model.target),
+        culprit_row=np.concatenate([[0], np.cumsum(counts[kept])]).astype(np.int64),
+        culprit=placement.culprit[np.repeat(kept, counts)], smallest_budget=smallest,
     )  # fmt: skip
 
 

@@ -159,3 +159,18 @@ def test_repair_shows_an_impostor_that_failed_nowhere_new_and_says_what_still_fa
     for v in range(len(x.views.cell)):
         shown = q.serve[q.serve_row[v] : q.serve_row[v + 1]]
         assert antichain(x.hierarchy, q.cluster[shown]) and (np.diff(shown) > 0).all()
+
+
+def test_a_view_that_the_built_impostors_bring_to_the_budget_is_not_hopeless():
+    despaired = 0
+    for seed in range(40):
+        x = random_instance(seed)
+        p = placed(x)
+        q = repaired(x, p, cost=np.zeros_like(p.cost))
+        np.testing.assert_array_equal(q.hopeless, p.hopeless & (q.view_cost > x.model.target))
+        assert len(q.culprit_row) == q.hopeless.sum() + 1 and q.culprit_row[-1] == len(q.culprit)
+        assert (q.view_best <= q.view_cost).all() and (q.view_cost <= q.view_target).all()
+        if p.hopeless.any() and not q.hopeless.any():
+            despaired += 1
+            assert verdict(q, x.model) == "valid" and q.smallest_budget <= x.model.budget
+    assert despaired
