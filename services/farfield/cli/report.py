@@ -35,8 +35,14 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         json.dump(report, sys.stdout)
         print()
-    else:
-        show_report(report)
+        return 0
+    out = Console()
+    try:
+        with out.capture() as shown:
+            show_report(report, out)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise ColumnsAltered("report.json", f"a key is missing or has no such value ({error})") from error
+    out.out(shown.get(), end="", highlight=False)
     return 0
 
 
@@ -50,8 +56,10 @@ def read_report(path: Path) -> dict[str, Any]:
         raise ColumnsAltered(path.name, "it is not JSON") from error
     if not isinstance(report, dict) or report.get("format") != "farfield report":
         raise ColumnsAltered(path.name, "it is no report of farfield")
-    if report.get("version") != 1:
-        raise ColumnsTooNew(path.name, int(report.get("version") or 0), 1)
+    if (version := report.get("version")) != 1:
+        if type(version) is not int:
+            raise ColumnsAltered(path.name, f"its version is {version!r}")
+        raise ColumnsTooNew(path.name, version, 1)
     return report
 
 

@@ -125,3 +125,15 @@ def _state(pid):
         return open(f"/proc/{pid}/stat").read().rsplit(")", 1)[1].split()[0]
     except OSError:
         return "Z"
+
+
+def test_a_damaged_report_is_refused_and_nothing_of_it_shown(level, tmp_path, capsys):
+    assert place(level, tmp_path / "out") == 0
+    path = tmp_path / "out" / "report.json"
+    whole = json.loads(path.read_text())
+    for damage in ({"verdict": "x"}, {"stages": 5}, {"version": "x"}, {"bytes": None}, {"hopeless": "x"}):
+        path.write_text(json.dumps({**whole, **damage}))
+        capsys.readouterr()
+        assert main(["report", str(tmp_path / "out")]) == 3
+        out, err = capsys.readouterr()
+        assert not out and "ColumnsAltered: report.json" in err
