@@ -125,7 +125,12 @@ class Accessors:
         """Return ((count, width) array in the stored type, normalized)."""
         accessor = Json.pick(self._accessors, index, where)
         kind, component = accessor.get("type"), accessor.get("componentType")
-        if not isinstance(kind, str) or kind not in _WIDTHS or component not in _TYPES:
+        if (
+            not isinstance(kind, str)
+            or kind not in _WIDTHS
+            or not isinstance(component, int)
+            or component not in _TYPES
+        ):
             raise SceneUnreadable(f"{where}: its accessor has an unknown type ({kind!r:.40}, {component!r:.40}).")
         dtype, width = np.dtype(_TYPES[component]), _WIDTHS[kind]
         count = Json.count(accessor.get("count"), f"{where}.count")

@@ -123,10 +123,10 @@ class _Reader:
             ):
                 raise SceneUnreadable(f"asset.{key} is {version!r:.40}; glTF 2.0 is read.")
         for name in self._rows("extensionsRequired"):
-            if name not in READ_EXTENSIONS | IGNORED_EXTENSIONS:
+            if not isinstance(name, str) or name not in READ_EXTENSIONS | IGNORED_EXTENSIONS:
                 raise SceneUnreadable(f"The scene needs the glTF extension {name!s:.80}, which is not read.")
         for name in self._rows("extensionsUsed"):
-            if name in IGNORED_EXTENSIONS and name.startswith("KHR_materials_"):
+            if isinstance(name, str) and name in IGNORED_EXTENSIONS and name.startswith("KHR_materials_"):
                 self._warn(f"{name} is left out: such materials are shown with their base colour.")
 
     # nodes

@@ -1,4 +1,5 @@
 import base64
+import json
 
 import numpy as np
 import pytest
@@ -394,3 +395,22 @@ def test_scaling_by_a_power_of_two_keeps_ids(tmp_path, factor):
     assert a.object_name == b.object_name
     assert b.cell_m == a.cell_m * factor
     np.testing.assert_array_equal(a.object_box * factor, b.object_box)
+
+
+@pytest.mark.parametrize("value", [[], {}, 5126.0, True, None])
+def test_a_component_type_or_an_extension_of_another_json_type_is_refused(tmp_path, value):
+    level = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"componentType": value, "type": "VEC3", "count": 3}],
+    }  # fmt: skip
+    path = tmp_path / "level.gltf"
+    path.write_text(json.dumps(level))
+    with pytest.raises(SceneUnreadable):
+        read_scene(path, settings=Settings())
+    path.write_text(json.dumps(level | {"extensionsRequired": [value]}))
+    with pytest.raises(SceneUnreadable, match="extension"):
+        read_scene(path, settings=Settings())
+    path.write_text(json.dumps(level | {"extensionsUsed": [value]}))
+    with pytest.raises(SceneUnreadable):
+        read_scene(path, settings=Settings())
