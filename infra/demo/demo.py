@@ -13,12 +13,15 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import quote
 
 sys.path.insert(0, str(Path(__file__).parent))
 import san_francisco
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / ".cache" / "demo"
+# On Russian Hill, looking west: most of what would be too much stands in sight.
+START = "at=327.25,43.55,-119.25&to=-0.985,-0.019,0.17"
 FARFIELD = str(Path(sys.executable).with_name("farfield"))
 
 
@@ -43,7 +46,7 @@ def main() -> int:
             job = submit(scene, settings, told)
             if job is None:
                 return 1
-            viewer = told["jobs"].replace("to=/jobs", f"to=/viewer/{job}")
+            viewer = told["jobs"].replace("to=/jobs", "to=" + quote(f"/viewer/{job}#{START}", safe="/"))
             if os.environ.get("DEMO_EXIT"):
                 return screenshot(viewer)
             print(f"dashboard: {told['url']}/jobs/{job}\nreport: {told['url']}/jobs/{job}/report", flush=True)
