@@ -50,7 +50,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("scene", type=Path, metavar="SCENE", help="glTF, GLB, OBJ, PLY, STL, or a zip of one of these")
     parser.add_argument("--url", required=True, metavar="URL", help="the service, such as http://127.0.0.1:8000")
     parser.add_argument(
-        "--key-file", type=Path, metavar="F", help="file with the API key (default: $FARFIELD_KEY, or data/api-key)"
+        "--key-file", type=Path, metavar="F", help="file with the API key (default: $FARFIELD_KEY; on this machine also data/api-key)"
     )
     parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="settings (docs/settings.md)")
     parser.add_argument("--budget", help='"16 ms", "300 calls" or "200000 triangles"; wins over the file')
@@ -66,11 +66,11 @@ def run(args: argparse.Namespace) -> int:
     settings = to_mapping(load_settings(args.settings, args.budget))
     if not args.scene.is_file():
         raise SceneUnreadable(f"{args.scene} is not a file")
-    key = _key(args.key_file)
+    here = httpx.URL(args.url).host in ("127.0.0.1", "localhost", "::1")  # which no proxy can reach
+    key = _key(args.key_file, here=here)
     console = Console(stderr=True, quiet=args.json)
     headers = {"authorization": f"Bearer {key}"}
     timeout = httpx.Timeout(30.0, read=900.0)
-    here = httpx.URL(args.url).host in ("127.0.0.1", "localhost", "::1")  # which no proxy can reach
     with httpx.Client(base_url=args.url.rstrip("/"), headers=headers, timeout=timeout, trust_env=not here) as client:
         try:
             digest = _send_scene(client, args.scene, console)
@@ -119,9 +119,10 @@ def _exit_code(code: str) -> int:
     return FAILED if stage_failed and not is_scene else BAD_INPUT
 
 
-def _key(path: Path | None) -> str:
+def _key(path: Path | None, *, here: bool) -> str:
+    """Return the API key. That of the service on this machine is found by itself, and sent to no other machine."""
     given = os.environ.get("FARFIELD_KEY", "")
-    if path is None and not given and Path("data/api-key").is_file():
+    if path is None and not given and here and Path("data/api-key").is_file():
         path = Path("data/api-key")
     if path is not None:
         try:
