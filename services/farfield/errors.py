@@ -182,7 +182,9 @@ class PlacementNotFound(StoreError):
     advice = "See whether the job is done: GET /v1/jobs/{id}."
 
     def __init__(self, placement: str, path: str = "") -> None:
-        super().__init__(f"there is no {path} in placement {placement}" if path else f"there is no placement {placement}")
+        super().__init__(
+            f"there is no {path} in placement {placement}" if path else f"there is no placement {placement}"
+        )
         self.placement = placement
 
 

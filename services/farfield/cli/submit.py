@@ -50,7 +50,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("scene", type=Path, metavar="SCENE", help="glTF, GLB, OBJ, PLY, STL, or a zip of one of these")
     parser.add_argument("--url", required=True, metavar="URL", help="the service, such as http://127.0.0.1:8000")
     parser.add_argument(
-        "--key-file", type=Path, metavar="F", help="file with the API key (default: $FARFIELD_KEY; here also data/api-key)"
+        "--key-file",
+        type=Path,
+        metavar="F",
+        help="file with the API key (default: $FARFIELD_KEY; here also data/api-key)",
     )
     parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="settings (docs/settings.md)")
     parser.add_argument("--budget", help='"16 ms", "300 calls" or "200000 triangles"; wins over the file')

@@ -77,7 +77,7 @@ def test_settings_win(tmp_path):
 
 
 def test_a_tiny_cell_in_a_large_level_allocates_no_more(tmp_path):
-    with pytest.raises(SettingsInvalid, match="view_space.cell_m: cells of 0.001 m would be about"):
+    with pytest.raises(SettingsInvalid, match=r"view_space\.cell_m: cells of 0\.001 m would be about"):
         read(tmp_path, ground_and_houses(10_000.0), cell_m=0.001)
 
 
