@@ -15,6 +15,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--bench-save", action="store_true", help="keep their rows in tests/benchmarks/results")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--accept", action="store_true", help="also place the whole demo city and check its figures")
+
+
 @pytest.fixture(scope="session")
 def gl() -> Any:
     """The moderngl context of `farfield.bake.gl`; skips, and says so, where EGL gives none."""
