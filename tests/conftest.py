@@ -11,12 +11,9 @@ settings.load_profile("farfield")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--accept", action="store_true", help="also place the whole demo city and check its figures")
     parser.addoption("--bench", action="store_true", help="run the benchmarks (tests/benchmarks)")
     parser.addoption("--bench-save", action="store_true", help="keep their rows in tests/benchmarks/results")
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--accept", action="store_true", help="also place the whole demo city and check its figures")
 
 
 @pytest.fixture(scope="session")
