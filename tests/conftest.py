@@ -8,6 +8,9 @@ from hypothesis import settings
 # A compile in the first example is no failure; the same examples every time, so that a red run can be repeated.
 settings.register_profile("farfield", deadline=None, derandomize=True)
 settings.load_profile("farfield")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--accept", action="store_true", help="also place the whole demo city and check its figures")
     parser.addoption("--bench", action="store_true", help="run the benchmarks (tests/benchmarks)")
     parser.addoption("--bench-save", action="store_true", help="keep their rows in tests/benchmarks/results")
