@@ -51,6 +51,12 @@ class SceneUnreadable(SceneError):
     advice = "Export the level again as glTF 2.0 (GLB), OBJ, PLY or STL, or a zip of these."
 
 
+class SceneNotAFile(SceneError):
+    """The path given for a scene is no file."""
+
+    advice = "Check the path."
+
+
 class SceneEmpty(SceneError):
     """No triangles."""
 

@@ -153,7 +153,7 @@ def missing(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("make", "name"),
     [(corrupt_glb, "SceneUnreadable"), (empty_obj, "SceneEmpty"), (far_index, "SceneIndexOutOfRange"),
-     (not_finite, "SceneNotFinite"), (missing, "SceneUnreadable")],
+     (not_finite, "SceneNotFinite"), (missing, "SceneNotAFile")],
 )  # fmt: skip
 def test_a_level_that_cannot_be_used_is_refused_by_name(make, name, run, tmp_path):
     ran = run("place", make(tmp_path), "--json", "--out", tmp_path / "out")

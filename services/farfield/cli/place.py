@@ -12,9 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from farfield.errors import FarfieldError, SceneUnreadable, SettingsInvalid
+from farfield.cli.progress import stage_bars
+from farfield.errors import FarfieldError, SceneNotAFile, SettingsInvalid
 from farfield.executor import Executor
 from farfield.pipeline import write_files
 from farfield.settings import Settings, check, from_mapping
@@ -79,19 +79,12 @@ def run(args: argparse.Namespace) -> int:
         raise SettingsInvalid("--workers", "must be at least 1")
     settings = load_settings(args.settings, args.budget)
     if not args.scene.is_file():
-        raise SceneUnreadable(f"{args.scene} is not a file")
+        raise SceneNotAFile(f"{args.scene} is not a file")
     work = _work_folder(args.scene, args.out)
     signal.signal(signal.SIGTERM, _stop)  # so that a job that is told to end takes its work folder with it
     console = Console(stderr=True, quiet=args.json)
-    columns = (
-        TextColumn("{task.description:12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
     try:
-        with Progress(*columns, console=console) as bars:
+        with stage_bars(console) as bars:
             tasks = {stage: bars.add_task(stage, total=None, start=False, note="") for stage in Stage}
 
             def show(stage: Stage, done: int, total: int, skipped: str | None) -> None:
@@ -111,7 +104,8 @@ def run(args: argparse.Namespace) -> int:
                         if stage != Stage.EVALUATION:
                             raise
                         console.print_exception()
-                    bars.update(tasks[stage], total=1, completed=1)
+                    total = bars.tasks[tasks[stage]].total or 1
+                    bars.update(tasks[stage], total=total, completed=total)
                     bars.stop_task(tasks[stage])
                 report = build_report(executor.inputs(*executor.paths.artifacts), executor.stages)
                 write_files(executor.artifact(Stage.PLACEMENTDB), work / "done")

@@ -19,11 +19,12 @@ from typing import Any
 
 import httpx
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
 
 from farfield import errors
 from farfield.cli.place import load_settings
-from farfield.errors import FarfieldError, SceneError, SceneUnreadable, ServiceError, SettingsInvalid
+from farfield.cli.progress import stage_bars
+from farfield.errors import FarfieldError, SceneError, SceneNotAFile, ServiceError, SettingsInvalid
 from farfield.settings import to_mapping
 from farfield.stages import Stage
 
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     """Submit the level; with --watch, exit 0 when the placement is valid, 4 when it is done but not valid."""
     settings = to_mapping(load_settings(args.settings, args.budget))
     if not args.scene.is_file():
-        raise SceneUnreadable(f"{args.scene} is not a file")
+        raise SceneNotAFile(f"{args.scene} is not a file")
     here = httpx.URL(args.url).host in ("127.0.0.1", "localhost", "::1")  # which no proxy can reach
     key = _key(args.key_file, here=here)
     console = Console(stderr=True, quiet=args.json)
@@ -102,6 +103,7 @@ def _conclude(job: dict[str, Any], args: argparse.Namespace, console: Console) -
         json.dump(job, sys.stdout)
         print()
     if not args.watch:
+        console.print(f"page: {args.url.rstrip('/')}/jobs/{job['id']}", highlight=False, soft_wrap=True)
         return DONE
     if job["state"] == "done":
         console.print(f"verdict {job['verdict']}", highlight=False)
@@ -197,11 +199,7 @@ def _send_scene(client: httpx.Client, path: Path, console: Console) -> str:
 
 def _watch(client: httpx.Client, job_id: str, console: Console) -> None:
     """Show the job's events until its last one."""
-    columns = (
-        TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("{task.fields[note]}", markup=False),
-    )  # fmt: skip
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+    with stage_bars(console, disable=not console.is_terminal) as bars:
         tasks = {str(s): bars.add_task(s, total=None, start=False, note="") for s in Stage}
         for kind, data in _events(client, job_id):
             task = tasks.get(data.get("stage", ""))
