@@ -1,26 +1,21 @@
-"""One headless Chromium for the browser tests, and pages that remember what went wrong in them."""
+"""One headless Chromium a file of browser tests, and pages that remember what went wrong in them."""
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-CHROMIUM = Path("/usr/bin/chromium")
-# SwiftShader: WebGL2 without a GPU.
-FLAGS = [
-    "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--no-first-run",
-]  # fmt: skip
+from browser.chromium import CHROMIUM, launch
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(
+    scope="module"
+)  # not the session: one thread can hold only one Playwright, and later files start theirs
 def browser() -> Iterator[Any]:
-    if not CHROMIUM.exists():
-        pytest.skip("no /usr/bin/chromium on this machine")
+    if CHROMIUM is None:
+        pytest.skip("no chromium on this machine")
     api = pytest.importorskip("playwright.sync_api")
     with api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        chromium = launch(playwright)
         yield chromium
         chromium.close()
 

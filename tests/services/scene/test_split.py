@@ -10,8 +10,8 @@ from levels import BOX_CORNERS, BOX_FACES, Gltf
 CELL_M = 16.0
 
 
-def read(path, cell_m=CELL_M):
-    return read_scene(path, settings=Settings(view_space=ViewSpaceSettings(cell_m=cell_m)))
+def read(path, cell_m=CELL_M, boxes=None):
+    return read_scene(path, settings=Settings(view_space=ViewSpaceSettings(cell_m=cell_m, boxes=boxes)))
 
 
 def terrain(n, side_m, *, seed=0):
@@ -97,7 +97,7 @@ def test_components_stay_whole_and_large_triangles_stay_apart(tmp_path):
     index = np.concatenate([index, [[8 * len(spots) + k for k in range(3)]]]).astype(np.uint32)
     level.node(name="all", mesh=level.mesh(level.primitive(position, index)))
     (tmp_path / "a.glb").write_bytes(level.glb())
-    s = read(tmp_path / "a.glb")
+    s = read(tmp_path / "a.glb", boxes=(((-8.0, 0.0, -8.0), (8.0, 2.0, 8.0)),))
     assert s.n_objects >= 4
     assert 1 in s.object_triangles.tolist()  # the sky alone
     others = s.object_triangles[s.object_triangles > 1]
