@@ -251,7 +251,9 @@ def test_what_was_switched_off_is_not_counted_as_over_budget(
         stated["budget"]["amount"] = loose["cost"]
         manifest.write_text(json.dumps(stated))
         give_level(tmp_path / "tight", (tmp_path / "tight" / "scene.glb").read_bytes())
-        page.reload()
+        at, to = (",".join(map(repr, loose[key])) for key in ("position", "direction"))
+        page.goto(f"{url}/viewer/tight#at={at}&to={to}")
+        page.reload()  # a new fragment alone loads nothing; and no other view, over this budget by right, is drawn
         before = _set_view(page, loose["position"], loose["direction"])
         assert before["over"] == before["overForStreaming"], "what loading made late is said to be so"
         page.keyboard.press("i")

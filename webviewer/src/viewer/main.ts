@@ -41,10 +41,11 @@ async function start(): Promise<App> {
   const placement = await Placement.open(fetchFrom(base, traffic));
   const engine = new Engine(canvas, gl, placement);
   const app = new App(engine, placement, traffic, canvas);
-  await loadGeometry(base, traffic, placement, engine);
-  setShown("loading", false);
   goToAddress(app);
   window.addEventListener("hashchange", () => goToAddress(app));
+  await loadGeometry(base, traffic, placement, engine);
+  setShown("loading", false);
+  app.touch();
   credit(engine.level.notice || placement.manifest.scene?.notice || placement.manifest.notice || "", id);
   return app;
 }
