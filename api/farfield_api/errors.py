@@ -8,7 +8,7 @@ import logging
 from typing import Any
 
 from farfield import errors
-from farfield.errors import FarfieldError
+from farfield.errors import FailedElsewhere, FarfieldError
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
@@ -67,16 +67,8 @@ class CursorInvalid(FarfieldError):
         super().__init__("the cursor is not one of ours")
 
 
-class SceneRefused(FarfieldError):
+class SceneRefused(FailedElsewhere):
     """The scene was refused by the process that read it, under the name that this gave."""
-
-    def __init__(self, code: str, message: str, advice: str) -> None:
-        super().__init__(message)
-        self._code, self.advice = code, advice
-
-    @property
-    def code(self) -> str:
-        return self._code
 
 
 STATUS: dict[type[FarfieldError], int] = {

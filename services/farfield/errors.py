@@ -13,6 +13,7 @@
     │   ├── JobNotFinished, JobStillRunning, IdempotencyConflict                 exit 3, HTTP 409
     │   └── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
     ├── ServiceError          the service cannot start, or does not answer       exit 3
+    ├── FailedElsewhere       a named error of another process, passed on
     └── StageFailed           a shard failed for good                                exit 1, HTTP 500
 
 Each message says what is wrong, where, and what to do. `code` is the stable name that the API and `--json` show.
@@ -240,3 +241,15 @@ class StageFailed(FarfieldError):
     def __init__(self, stage: str, why: str) -> None:
         super().__init__(f"stage {stage} failed: {why}")
         self.stage = stage
+
+
+class FailedElsewhere(FarfieldError):
+    """A named error of another process, under the name and with the advice that this gave."""
+
+    def __init__(self, code: str, message: str, advice: str) -> None:
+        super().__init__(message)
+        self._code, self.advice = code, advice
+
+    @property
+    def code(self) -> str:
+        return self._code

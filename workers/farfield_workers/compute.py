@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import farfield.errors
-from farfield.errors import FarfieldError, StageFailed
+from farfield.errors import FailedElsewhere, FarfieldError, StageFailed
 from farfield.executor import StageRun, map_file, peak_bytes, reset_peak
 from farfield.pipeline import Inputs
 from farfield.settings import from_mapping
@@ -49,18 +49,6 @@ class Result:
     digest: str
     n_bytes: int
     peak_bytes: int
-
-
-class FailedElsewhere(FarfieldError):
-    """A named error of the isolated process, with its name and advice."""
-
-    def __init__(self, code: str, message: str, advice: str) -> None:
-        super().__init__(message)
-        self._code, self.advice = code, advice
-
-    @property
-    def code(self) -> str:
-        return self._code
 
 
 def inputs_of(call: Call, *, mapped: bool) -> Inputs:

@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from farfield.viewspace.kernels import first_at_least
+
 DONE, MORE, FULL = 0, 1, 2
 # places in `counter`
 HEAP, STEPS, ARENA, OVER, BYTES = 0, 1, 2, 3, 4
@@ -109,23 +111,10 @@ def _pop(heap, counter, gain, size):
 
 
 @njit(cache=True)
-def first_at_or_after(nodes, at, length, node):
-    """Return the first position of the ascending run nodes[at : at + length] whose node is >= node."""
-    low, high = at, at + length
-    while low < high:
-        middle = (low + high) // 2
-        if nodes[middle] < node:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(cache=True)
 def _change(v, node, saved, end, shown):
     """Return what an impostor of `node` that saves `saved` would take off view v now, and the run it would displace."""
     at, length = shown.at[v], shown.length[v]
-    first = first_at_or_after(shown.node, at, length, node)
+    first = first_at_least(shown.node, at, at + length, node)
     if first > at and end[shown.node[first - 1]] > node:
         return np.int64(0), first, first
     last, stop = first, at + length

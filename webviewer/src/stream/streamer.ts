@@ -46,9 +46,9 @@ export class Streamer {
     );
   }
 
-  /** A page that is resident, or never will be. */
+  /** A page that is resident, or never will be: damaged, or beyond what video memory holds (its impostors stay geometry). */
   settled(page: number): boolean {
-    return this.pages.isResident(page) || this.damaged.has(this.placement.manifest.pages[page].file);
+    return this.pages.isResident(page) || !this.wanted.has(page) || this.damaged.has(this.placement.manifest.pages[page].file);
   }
 
   /** Called when the cell or view changes, and now and then while the camera moves. */
