@@ -53,13 +53,50 @@ class VisibilitySettings:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementSettings:
     candidates: Literal["shafts+boxes", "shafts", "boxes"] = "shafts+boxes"
-    assignment: Literal["fastest", "least"] = "fastest"  # which of its impostors a view shows
+    view_cells: Literal["tight", "raw"] = "tight"  # fitted to the cells they serve, or as generated
+    assignment: Literal["fastest", "least", "all"] = "fastest"  # which of its impostors a view shows
+    reverse_delete: bool = True  # drop chosen impostors that no view needs
+    hopeless: Literal["near_best", "geometry"] = "near_best"  # what views get that cannot meet the budget
+    hopeless_slack: float = 1.05  # near_best: their target in multiples of the best they can reach, [1, 10]
+    regions: int = 1  # 1..64 parts of the view space, optimised apart and merged
+    time_limit_s: float | None = None  # of optimising, wall clock, > 0; None: as long as it takes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """How a fitted device profile lies over its samples: predicted - measured, milliseconds."""
+
+    samples: int
+    quantile: float  # share of the samples that the fit was to leave not above its prediction
+    mean_ms: float
+    p95_ms: float
+    worst_ms: float  # the most that a frame took longer than predicted, >= 0
+    under_share: float  # of the samples that took longer than predicted
+    unseen_under_share: float  # the same of samples that the fit had not seen, five fits over a fifth each
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceProfile:
+    """What drawing costs on a device [placement.md section 3]: each an upper bound, nanoseconds, [0, 1e9]."""
+
+    per_frame_ns: int  # everything a frame costs before anything is drawn, the impostors' batches included
+    per_call_ns: float
+    per_triangle_ns: float
+    per_pixel_ns: float  # a pixel of an object's bounding area
+    per_impostor_ns: float
+    per_impostor_triangle_ns: float
+    per_impostor_pixel_ns: float  # a pixel of an impostor layer, empty texels included
+    fit: Fit | None = None  # None: stated, not measured
+
+
+COEFFICIENTS = tuple(f.name for f in dataclasses.fields(DeviceProfile) if f.name.startswith("per_"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
     budget: str = "16 ms"  # "16 ms", "300 calls" or "200000 triangles"
     device: str = "reference"  # device profile: what drawing costs
+    device_profile: DeviceProfile | None = None  # its figures; None: `device` is a preset
     seed: int = 0  # [0, 2**63)
     scene: SceneSettings = field(default_factory=SceneSettings)
     camera: CameraSettings = field(default_factory=CameraSettings)
@@ -118,6 +155,9 @@ def check(settings: Settings) -> None:
 
     parse_budget(s.budget)
     need(0 <= s.seed < 2**63, "seed", "must be in [0, 2**63)")
+    if s.device_profile is not None:
+        for key in COEFFICIENTS:
+            need(0 <= getattr(s.device_profile, key) <= 1e9, f"device_profile.{key}", "must be in [0, 1e9] nanoseconds")
     unit_m = s.scene.unit_m
     need(unit_m is None or (1e-9 <= unit_m <= 1e9), "scene.unit_m", "must be in [1e-9, 1e9]")
     need(0 < s.camera.fov_deg <= 150, "camera.fov_deg", "must be in (0, 150] degrees")
@@ -134,6 +174,10 @@ def check(settings: Settings) -> None:
             need(finite and all(a <= b for a, b in zip(low, high, strict=True)), f"view_space.boxes[{i}]",
                  "must be two finite corners, the lower one first")  # fmt: skip
     need(0 < s.quality.pixel_error <= 64, "quality.pixel_error", "must be in (0, 64] pixels")
+    need(1 <= s.placement.hopeless_slack <= 10, "placement.hopeless_slack", "must be in [1, 10]")
+    need(1 <= s.placement.regions <= 64, "placement.regions", "must be in 1..64")
+    limit_s = s.placement.time_limit_s
+    need(limit_s is None or limit_s > 0, "placement.time_limit_s", "must be a positive number of seconds")
 
 
 def _plain(value: Any) -> Any:
@@ -151,6 +195,9 @@ def _build(cls: type, values: Any, prefix: str) -> Any:
     unknown = sorted(set(map(str, values)) - set(hints))
     if unknown:
         raise SettingsInvalid(prefix + unknown[0], f"unknown setting; known here: {', '.join(sorted(hints))}")
+    for f in dataclasses.fields(cls):
+        if f.name not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING:
+            raise SettingsInvalid(prefix + f.name, "is missing")
     return cls(**{name: _convert(hints[name], values[name], prefix + name) for name in hints if name in values})
 
 
@@ -179,6 +226,8 @@ def _convert(hint: Any, value: Any, key: str) -> Any:
         if not math.isfinite(value):
             raise SettingsInvalid(key, "must be finite")
         return float(value)
+    if hint is bool and isinstance(value, bool):
+        return value
     if hint is int and isinstance(value, int) and not isinstance(value, bool):
         return value
     if hint is str and isinstance(value, str):

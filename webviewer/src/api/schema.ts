@@ -6,6 +6,27 @@ export interface CameraSettings {
   height?: number;
 }
 
+export interface DeviceProfile {
+  per_frame_ns: number;
+  per_call_ns: number;
+  per_triangle_ns: number;
+  per_pixel_ns: number;
+  per_impostor_ns: number;
+  per_impostor_triangle_ns: number;
+  per_impostor_pixel_ns: number;
+  fit?: Fit | null;
+}
+
+export interface Fit {
+  samples: number;
+  quantile: number;
+  mean_ms: number;
+  p95_ms: number;
+  worst_ms: number;
+  under_share: number;
+  unseen_under_share: number;
+}
+
 export interface JobRequest {
   /** digest of an uploaded scene */
   scene: string;
@@ -24,7 +45,13 @@ export interface Opening {
 
 export interface PlacementSettings {
   candidates?: "shafts+boxes" | "shafts" | "boxes";
-  assignment?: "fastest" | "least";
+  view_cells?: "tight" | "raw";
+  assignment?: "fastest" | "least" | "all";
+  reverse_delete?: boolean;
+  hopeless?: "near_best" | "geometry";
+  hopeless_slack?: number;
+  regions?: number;
+  time_limit_s?: number | null;
 }
 
 export interface Problem {
@@ -56,6 +83,7 @@ export interface SceneSettings {
 export interface Settings {
   budget?: string;
   device?: string;
+  device_profile?: DeviceProfile | null;
   seed?: number;
   scene?: SceneSettings;
   camera?: CameraSettings;
