@@ -39,6 +39,7 @@ class StageRun:
     peak_bytes: int
     skipped: str | None
     shards: int
+    reused: int  # of the shards: found in the cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +130,17 @@ def _end_with_parent() -> None:
 
 
 class Executor:
-    """Walks the pipeline over one scene; artifacts live as files in `work`."""
+    """Walks the pipeline over one scene; artifacts live as files in `work`.
 
-    def __init__(self, scene_file: Path, settings: Settings, work: Path, *, workers: int, progress: Progress) -> None:
-        self.work, self.workers, self.progress = work, workers, progress
+    With `cache`, a folder that may serve any number of jobs at once, they live there under their keys and stay: what
+    another job did already is not done again.
+    """
+
+    def __init__(
+        self, scene_file: Path, settings: Settings, work: Path, *, workers: int, progress: Progress,
+        cache: Path | None = None,
+    ) -> None:  # fmt: skip
+        self.work, self.workers, self.progress, self.cache = work, workers, progress, cache
         self.paths = _Paths(settings, scene_file, {}, {})
         self.stages: list[StageRun] = []
         self._pool: ProcessPoolExecutor | None = None
@@ -164,26 +172,28 @@ class Executor:
     def run(self, stage: Stage) -> StageRun:
         """Run one stage: ask, cut, run, join. Raises what the stage raised, or StageFailed when a process died."""
         step, started = STEPS[stage], time.perf_counter()
-        out = self.work / f"{stage}.ffc"
         try:
             reason, shards, peak = self._submit(_plan, stage).result()
             self.progress(stage, 0, len(shards), reason)
-            pieces = [self._piece(step, shard) for shard in shards]
-            peak = max(peak, *self._run_shards(stage, shards, pieces), 0)
-            if step.merge is not None:
+            pieces = [self._path(step, shard) for shard in shards]
+            out = self._path(step, "merge", *pieces) if step.merge is not None else pieces[0]
+            # The scene is read anew: a level may be several files, and its key knows only the one that was named.
+            missing = [i for i, piece in enumerate(pieces) if stage == Stage.SCENE or not piece.exists()]
+            if step.merge is not None and out.exists():
+                missing = []
+            peak = max(peak, *self._run_shards(stage, shards, pieces, missing), 0)
+            if step.merge is not None and not out.exists():
                 peak = max(peak, self._submit(_merge, stage, pieces, out).result())
-                for piece in pieces:
+                for piece in pieces if self.cache is None else []:
                     piece.unlink()
-            else:
-                (piece,) = pieces
-                piece.replace(out)
         except (BrokenProcessPool, MemoryError) as error:
             raise StageFailed(stage, "a process died, most likely for lack of memory; try fewer --workers") from error
         self.paths.artifacts[stage] = out
         self.paths.digests[stage] = file_digest(out)
         done = StageRun(
-            name=stage, seconds=time.perf_counter() - started, peak_bytes=peak, skipped=reason, shards=len(shards)
-        )
+            name=stage, seconds=time.perf_counter() - started, peak_bytes=peak, skipped=reason, shards=len(shards),
+            reused=len(shards) - len(missing),
+        )  # fmt: skip
         self.stages.append(done)
         return done
 
@@ -191,20 +201,25 @@ class Executor:
         assert self._pool is not None
         return self._pool.submit(function, stage, self.paths, *arguments)
 
-    def _piece(self, step: Step, shard: Shard) -> Path:
-        return (
-            self.work
-            / f"{step.stage}-{shard_key(step, Inputs(self.paths.settings, {}, self.paths.digests), shard)[:24]}.ffc"
-        )
+    def _path(self, step: Step, shard: Shard, *pieces: Path) -> Path:
+        """Return where an artifact lies: under a digest of everything that shapes it, `pieces` included."""
+        key = shard_key(step, Inputs(self.paths.settings, {}, self.paths.digests), shard)
+        key = hashlib.sha256(" ".join([key, *(piece.name for piece in pieces)]).encode()).hexdigest()
+        if self.cache is None:
+            return self.work / f"{step.stage}-{key[:24]}.ffc"
+        folder = self.cache / step.stage
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / f"{key}.ffc"
 
-    def _run_shards(self, stage: Stage, shards: list[Shard], pieces: list[Path]) -> list[int]:
-        futures = {self._submit(_run, stage, s, p): i for i, (s, p) in enumerate(zip(shards, pieces, strict=True))}
-        peaks, pending = [0] * len(shards), set(futures)
+    def _run_shards(self, stage: Stage, shards: list[Shard], pieces: list[Path], missing: list[int]) -> list[int]:
+        """Run the missing shards and return the peak memory of each."""
+        futures = {self._submit(_run, stage, shards[i], pieces[i]): i for i in missing}
+        peaks, pending = [0], set(futures)
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 try:
-                    peaks[futures[future]] = future.result()
+                    peaks.append(future.result())
                 except (FarfieldError, BrokenProcessPool):
                     for other in pending:
                         other.cancel()

@@ -10,6 +10,7 @@ import tempfile
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -33,24 +34,43 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="settings (docs/settings.md)")
     parser.add_argument("--budget", help='"16 ms", "300 calls" or "200000 triangles"; wins over the file')
     parser.add_argument(
+        "--device", metavar="NAME|FILE.toml", help="a preset, or what `farfield calibrate` wrote; wins over the file"
+    )
+    parser.add_argument(
         "--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)"
     )
+    parser.add_argument(
+        "--cache", type=Path, metavar="DIR",
+        help="keep the work of every stage here: the next job does only what its scene or settings changed",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the report as JSON and nothing else")
     parser.set_defaults(run=run)
 
 
-def load_settings(path: Path | None, budget: str | None) -> Settings:
-    """Return checked settings from a TOML file (or defaults) and an overriding budget. Raises SettingsInvalid."""
-    settings = Settings()
-    if path is not None:
-        try:
-            settings = from_mapping(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-            raise SettingsInvalid("--settings", f"{path} cannot be read: {error}") from error
+def load_settings(path: Path | None, budget: str | None, device: str | None = None) -> Settings:
+    """Return checked settings from a TOML file (or defaults), with budget and device over it. Raises SettingsInvalid.
+
+    device  a preset's name, or a file as `farfield calibrate` writes it
+    """
+    settings = from_mapping(_toml(path, "--settings")) if path is not None else Settings()
+    if device is not None and device.endswith(".toml"):
+        measured = from_mapping(_toml(Path(device), "--device"))
+        if measured.device_profile is None:
+            raise SettingsInvalid("--device", f"{device} has no table device_profile")
+        settings = replace(settings, device=measured.device, device_profile=measured.device_profile)
+    elif device is not None:
+        settings = replace(settings, device=device, device_profile=None)
     if budget is not None:
         settings = replace(settings, budget=budget)
     check(settings)
     return settings
+
+
+def _toml(path: Path, key: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise SettingsInvalid(key, f"{path} cannot be read: {error}") from error
 
 
 def _work_folder(scene: Path, out: Path) -> Path:
@@ -77,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.workers < 1:
         raise SettingsInvalid("--workers", "must be at least 1")
-    settings = load_settings(args.settings, args.budget)
+    settings = load_settings(args.settings, args.budget, args.device)
     if not args.scene.is_file():
         raise SceneNotAFile(f"{args.scene} is not a file")
     work = _work_folder(args.scene, args.out)
@@ -92,7 +112,9 @@ def run(args: argparse.Namespace) -> int:
                     tasks[stage], completed=done, total=max(total, 1), note=f"skipped: {skipped}" if skipped else ""
                 )
 
-            with Executor(args.scene, settings, work, workers=args.workers, progress=show) as executor:
+            with Executor(
+                args.scene, settings, work, workers=args.workers, progress=show, cache=args.cache
+            ) as executor:  # fmt: skip
                 for stage in Stage:
                     bars.start_task(tasks[stage])
                     try:

@@ -93,6 +93,8 @@ def _figures(report: Mapping[str, Any]) -> Table:
         ("fullest view", f"{cost_text(report, report['worst_geometry_cost'])} as geometry, "
                          f"{cost_text(report, report['worst_cost_bound'])} as placed"),
     ]  # fmt: skip
+    if report.get("device"):
+        rows.append(("device", _device(report["device"])))
     if report["hopeless_views"]:
         rows.append(("would be valid", f"with a budget of {report['smallest_budget']['text']}"))
     found = report["verified"]
@@ -104,6 +106,16 @@ def _figures(report: Mapping[str, Any]) -> Table:
     return table
 
 
+def _device(device: Mapping[str, Any]) -> str:
+    fit = device["fit"]
+    if fit is None:
+        return f"{device['name']}, a preset that was not measured"
+    return (
+        f"{device['name']}, fitted to {fit['samples']:,} frames: {fit['under_share']:.1%} took longer than predicted "
+        f"(at worst {fit['worst_ms']:.2f} ms), the mean is {fit['mean_ms']:.2f} ms above"
+    )
+
+
 def _stages(stages: list[dict[str, Any]]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("stage")
@@ -113,6 +125,8 @@ def _stages(stages: list[dict[str, Any]]) -> Table:
     longest = max((s["seconds"] for s in stages), default=0) or 1
     for s in stages:
         note = f"[dim]skipped: {escape(s['skipped'])}[/]" if s["skipped"] else "█" * round(BAR * s["seconds"] / longest)
+        if s.get("reused"):
+            note += f" [dim]{s['reused']} of {s['shards']} shards reused[/]"
         table.add_row(s["name"], f"{s['seconds']:.1f}", _size(s["peak_bytes"]), note)
     return table
 

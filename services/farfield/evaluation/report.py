@@ -4,6 +4,7 @@
 times and memory live here and nowhere else: the placement itself is the same bytes on every run.
 """
 
+import dataclasses
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -18,6 +19,7 @@ from farfield.geometry.cells import CellTree, build_cells
 from farfield.geometry.intervals import direction_at, edges, split_id
 from farfield.placement.model import Placement
 from farfield.rendertime.model import CostModel
+from farfield.rendertime.profiles import find_profile
 from farfield.scene.model import Scene
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
@@ -53,6 +55,12 @@ class StageRun(Protocol):
     @property
     def skipped(self) -> str | None: ...
 
+    @property
+    def shards(self) -> int: ...
+
+    @property
+    def reused(self) -> int: ...
+
 
 def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any]:
     """Return the report of a job whose stages up to `placementdb` have artifacts, as JSON values (no NaN, no infinity).
@@ -66,14 +74,15 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
     manifest = _manifest(inputs.artifacts[Stage.PLACEMENTDB])
     verified = unpack(inputs.artifacts[Stage.EVALUATION])[2] if Stage.EVALUATION in inputs.artifacts else None
     ran: list[dict[str, Any]] = [
-        {"name": str(s.name), "seconds": round(s.seconds, 3), "peak_bytes": s.peak_bytes, "skipped": s.skipped}
+        {"name": str(s.name), "seconds": round(s.seconds, 3), "peak_bytes": s.peak_bytes, "skipped": s.skipped,
+         "shards": s.shards, "reused": s.reused}
         for s in stages
     ]  # fmt: skip
     return {
         "format": "farfield report", "version": 1,
         "verdict": _verdict(manifest["verdict"], verified),
         "budget": settings.budget, "budget_amount": model.budget, "unit": model.unit, "per_frame": model.per_frame,
-        "smallest_budget": _smallest(model, views, placement),
+        "smallest_budget": _smallest(model, views, placement), "device": _device(settings, model),
         **{key: manifest["counts"][key] for key in ("objects", "triangles", "cells", "problem_views", "hopeless_views",
                                                     "impostors", "layers", "chunks", "pages")},
         "candidates": len(inputs.get(Stage.CANDIDATES).cluster),
@@ -106,6 +115,13 @@ def _manifest(artifact: Any) -> dict[str, Any]:
             manifest: dict[str, Any] = json.loads(bytes(content))
             return manifest
     raise PlacementFileMissing("placement/manifest.json")
+
+
+def _device(settings: Settings, model: CostModel) -> dict[str, Any] | None:
+    """Return what a budget of time was counted with: the profile, and for a fitted one how it lies over its samples."""
+    if model.unit != "ns":
+        return None
+    return {"name": settings.device, **dataclasses.asdict(find_profile(settings))}
 
 
 def _smallest(model: CostModel, views: ProblemViews, placement: Placement) -> dict[str, Any]:

@@ -205,12 +205,15 @@ def _release_optimizer(tx: sa.Connection, held: Claim) -> None:
 
 
 def _outcome(tx: sa.Connection, row: sa.Row[Any]) -> dict[str, Any]:
-    peak, count = tx.execute(
-        sa.select(sa.func.max(shard.c.peak_bytes), sa.func.count().filter(shard.c.kind == "run"))
-        .where(shard.c.stage_id == row.id)
+    peak, count, reused = tx.execute(
+        sa.select(
+            sa.func.max(shard.c.peak_bytes), sa.func.count().filter(shard.c.kind == "run"),
+            sa.func.count().filter((shard.c.kind == "run") & shard.c.cached),
+        ).where(shard.c.stage_id == row.id)
     ).one()  # fmt: skip
     ended = row.finished_at if row.finished_at is not None else tx.scalar(sa.select(now()))
     return {
-        "name": row.name, "state": row.state, "skipped": row.skipped, "shards": count, "peak_bytes": peak or 0,
+        "name": row.name, "state": row.state, "skipped": row.skipped, "shards": count, "reused": reused,
+        "peak_bytes": peak or 0,
         "seconds": round(ended - row.started_at, 3) if row.started_at is not None else 0.0,
     }  # fmt: skip

@@ -35,8 +35,10 @@ class Inputs:
 
 
 RAN = [
-    SimpleNamespace(name="scene", seconds=1.25, peak_bytes=5_000_000, skipped=None),
-    SimpleNamespace(name="visibility", seconds=0.0, peak_bytes=0, skipped="mode is off [by default]"),
+    SimpleNamespace(name="scene", seconds=1.25, peak_bytes=5_000_000, skipped=None, shards=1, reused=0),
+    SimpleNamespace(
+        name="visibility", seconds=0.0, peak_bytes=0, skipped="mode is off [by default]", shards=0, reused=0
+    ),
 ]
 
 
@@ -82,7 +84,8 @@ def test_the_report_has_what_others_rely_on(finished: tuple[Path, dict[str, Any]
     assert report["file_bytes"] == sum(p.stat().st_size for p in files)
     assert report["video_bytes"] == report["pages"] * 1024 * 1536 * 4
     assert report["settings"] == json.loads(json.dumps(to_mapping(made["settings"])))
-    assert report["stages"][1] == {"name": "visibility", "seconds": 0.0, "peak_bytes": 0, "skipped": RAN[1].skipped}
+    assert report["stages"][1] == {"name": "visibility", "seconds": 0.0, "peak_bytes": 0, "skipped": RAN[1].skipped,
+                                   "shards": 0, "reused": 0}  # fmt: skip
     assert json.loads(json.dumps(report, allow_nan=False)) == report
 
 

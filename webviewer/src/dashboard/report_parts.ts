@@ -102,14 +102,42 @@ export function stagesTable(report: Report): HTMLElement | null {
   const memory = report.stages.some((s) => known(s.peak_bytes));
   const rows = report.stages.map((s) => s.skipped !== null && s.skipped !== undefined
     ? h("tr", { class: "skipd" }, h("th", { scope: "row" }, icon("skip"), ` ${s.name}`), h("td", { class: "r nw" }, s.seconds > 0 ? duration(s.seconds) : "skipped"), h("td", { class: "st-why", colspan: memory ? 3 : 1 }, s.skipped))
-    : h("tr", null, h("th", { scope: "row" }, s.name), h("td", { class: "r nw" }, duration(s.seconds)), h("td", { class: "st-bar" }, bar(s.seconds / longest)),
+    : h("tr", null, h("th", { scope: "row" }, s.name, ...(s.reused ? [" ", h("small", { class: "q" }, s.reused === s.shards ? "reused" : `${s.reused} of ${s.shards} reused`)] : [])), h("td", { class: "r nw" }, duration(s.seconds)), h("td", { class: "st-bar" }, bar(s.seconds / longest)),
       ...(memory ? [h("td", { class: "r nw" }, known(s.peak_bytes) ? bytes(s.peak_bytes) : "—"), h("td", { class: "st-bar" }, bar((s.peak_bytes ?? 0) / largest))] : [])));
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Seconds and peak memory of each stage"),
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "Stage"), h("th", { scope: "col", class: "r" }, "Time"), h("th", null, h("span", { class: "sr" }, "Time as a bar")),
       ...(memory ? [h("th", { scope: "col", class: "r" }, "Peak memory"), h("th", null, h("span", { class: "sr" }, "Memory as a bar"))] : []))), h("tbody", null, ...rows));
   const total = [known(report.seconds) ? duration(report.seconds) : "", known(report.peak_bytes) ? `${bytes(report.peak_bytes)} at most in one process` : ""].filter(Boolean).join(", ");
-  const button = csvButton("stages", ["stage", "seconds", "peak_bytes", "skipped"], () => report.stages.map((s) => [s.name, s.seconds, s.peak_bytes, s.skipped]));
+  const button = csvButton("stages", ["stage", "seconds", "peak_bytes", "skipped", "shards", "reused"], () => report.stages.map((s) => [s.name, s.seconds, s.peak_bytes, s.skipped, s.shards, s.reused]));
   return part("st-h", "Stages", total, button, h("div", { class: "scroll" }, table));
+}
+
+export function deviceTable(report: Report): HTMLElement | null {
+  const { device } = report;
+  if (!device) return null;
+  const ns = (value: number): string => `${Number(value.toPrecision(4))} ns`;
+  const rows: Row[] = [
+    ["A frame", ns(device.per_frame_ns), "before anything is drawn"],
+    ["A draw call", ns(device.per_call_ns), ""],
+    ["A triangle", ns(device.per_triangle_ns), ""],
+    ["A pixel", ns(device.per_pixel_ns), ""],
+    ["An impostor", ns(device.per_impostor_ns), ""],
+    ["A triangle of its layers", ns(device.per_impostor_triangle_ns), ""],
+    ["A pixel of its layers", ns(device.per_impostor_pixel_ns), ""],
+  ];
+  const { fit } = device;
+  if (fit) {
+    rows.push(
+      ["Predicted − measured, mean", `${fit.mean_ms.toFixed(2)} ms`, `of ${plural(fit.samples, "frame")}`],
+      ["95 % of these below", `${fit.p95_ms.toFixed(2)} ms`, ""],
+      ["Took longer than predicted", `${(100 * fit.under_share).toFixed(1)} %`, `at worst by ${fit.worst_ms.toFixed(2)} ms`],
+      ["The same, frames not fitted to", `${(100 * fit.unseen_under_share).toFixed(1)} %`, "five fits over a fifth each"],
+    );
+  }
+  const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Device profile"), h("tbody", null, ...rows.map(([name, value, hint]) =>
+    h("tr", null, h("th", { scope: "row" }, name, hint ? h("small", { class: "q" }, hint) : null), h("td", { class: "r nw" }, value)))));
+  const hint = fit ? "fitted to measured frames, an upper bound" : "a preset, not measured";
+  return part("dv-h", `Device ${device.name}`, hint, csvButton("device", ["figure", "value", "note"], () => rows), h("div", { class: "scroll" }, table));
 }
 
 export function worstViews(report: Report, placement: string): HTMLElement | null {

@@ -1,6 +1,6 @@
 /** `report.json`, docs/formats/report.md. Older or other reports may lack keys: what is missing is not shown. */
 import type { CostUnit } from "../placementdb/manifest";
-import type { Settings } from "../api/schema";
+import type { DeviceProfile, Settings } from "../api/schema";
 import type { Box, Vec3, Verdict } from "../api/types";
 
 export interface ReportStage {
@@ -8,6 +8,8 @@ export interface ReportStage {
   seconds: number;
   peak_bytes?: number;
   skipped: string | null;
+  shards?: number;
+  reused?: number;
 }
 
 export interface ReportView {
@@ -45,6 +47,10 @@ export interface Verified {
   in_problem_views?: number;
 }
 
+export interface ReportDevice extends DeviceProfile {
+  name: string;
+}
+
 export interface Report {
   verdict: Verdict;
   stages: ReportStage[];
@@ -52,6 +58,7 @@ export interface Report {
   budget?: string;
   budget_amount?: number;
   unit?: CostUnit;
+  device?: ReportDevice | null;
   smallest_budget?: { amount: number; text: string };
   objects?: number;
   triangles?: number;
