@@ -209,7 +209,10 @@ class Executor:
             return self.work / f"{step.stage}-{key[:24]}.ffc"
         folder = self.cache / step.stage
         folder.mkdir(parents=True, exist_ok=True)
-        return folder / f"{key}.ffc"
+        kept = folder / f"{key}.ffc"
+        if step.timed(self.paths.settings) and not kept.exists():  # what a clock stopped is no other job's
+            return self.work / f"{step.stage}-{key[:24]}.ffc"
+        return kept
 
     def _run_shards(self, stage: Stage, shards: list[Shard], pieces: list[Path], missing: list[int]) -> list[int]:
         """Run the missing shards and return the peak memory of each."""

@@ -18,14 +18,14 @@ import importlib
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from farfield.columns import Parts, dataclass_parts, files_parts, pack_parts, unpack, unpack_dataclass, unpack_files
-from farfield.settings import Settings, to_mapping
+from farfield.settings import PlacementSettings, Settings, to_mapping
 from farfield.stages import Queue, Stage
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ class Inputs:
         Stage, str
     ]  # SHA-256 (hex) of each artifact, and of the scene file under Stage.SCENE before it ran
     scene_file: Path | None = None
+    checkpoint: Path | None = None  # a file that outlives a killed run and is named by the shard's key, if there is one
 
     def get(self, stage: Stage) -> Any:
         """Return the decoded artifact of a stage: its frozen dataclass."""
@@ -64,12 +65,15 @@ class Step:
     run: Callable[[Inputs, Shard], Parts]
     merge: Callable[[Inputs, Sequence[Any]], Parts] | None = None
     skip: Callable[[Inputs], str | None] = field(default=lambda inputs: None)
+    timed: Callable[[Settings], bool] = field(default=lambda settings: False)  # see `shard_key`
 
 
 def shard_key(step: Step, inputs: Inputs, shard: Shard) -> str:
     """Return the digest of everything that shapes the shard's artifact. `shard` is "plan" or "merge" for those two.
 
     A known key means the work is done. The bake's key also holds the renderer, see `_bake_plan`.
+    Where `step.timed`, a clock may end the work early: what a known key names will do, being what there was time for at
+    best, but the result must not be kept under its own.
     """
     read = {key: _setting(inputs.settings, key) for key in step.reads}
     sources = [Stage.SCENE] if step.stage == Stage.SCENE else list(step.inputs)
@@ -220,11 +224,13 @@ def _candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
 
 
 def _placement(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.checkpoint import Checkpoint
     from farfield.placement.greedy import place
 
     chosen = place(
         inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
         inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), settings=inputs.settings,
+        checkpoint=Checkpoint(inputs.checkpoint) if inputs.checkpoint is not None else None,
     )  # fmt: skip
     return dataclass_parts(chosen)
 
@@ -324,6 +330,7 @@ def write_files(buffer: Any, folder: Path) -> None:
 _S, _H, _R, _V = Stage.SCENE, Stage.HIERARCHY, Stage.RENDERTIME, Stage.VISIBILITY
 _VIEW, _C, _P, _B = Stage.VIEWSPACE, Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE
 _CAMERA, _QUALITY = "camera", "quality"
+_CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.name != "time_limit_s")
 
 STEPS: dict[Stage, Step] = {
     step.stage: step
@@ -332,19 +339,20 @@ STEPS: dict[Stage, Step] = {
              reads=("scene", "view_space.boxes", "view_space.cell_m")),
         Step(stage=Stage.HIERARCHY, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_hierarchy, reads=()),
         Step(stage=Stage.RENDERTIME, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_rendertime,
-             reads=("budget", "device", _CAMERA)),
+             reads=("budget", "device", "device_profile", _CAMERA)),
         Step(stage=Stage.VISIBILITY, version=1, queue=Queue.CPU, inputs=(_S, _H), skip=_visibility_skip, plan=_one,
              run=lambda inputs, shard: _visibility(inputs, ()), merge=_visibility, reads=("visibility",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,
              run=_viewspace, merge=_viewspace_merge, reads=(_CAMERA, "view_space.interval_deg")),
         Step(stage=Stage.CANDIDATES, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
              plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
-             reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates")),
-        Step(stage=Stage.PLACEMENT, version=1, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C), plan=_one,
-             run=_placement, reads=(_CAMERA, _QUALITY, "placement")),
+             reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.view_cells")),
+        Step(stage=Stage.PLACEMENT, version=2, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C), plan=_one,
+             run=_placement, reads=(_CAMERA, _QUALITY, *_CHOOSING),
+             timed=lambda settings: settings.placement.time_limit_s is not None),
         Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
-        Step(stage=Stage.REPAIR, version=2, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
+        Step(stage=Stage.REPAIR, version=3, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
         Step(stage=Stage.PLACEMENTDB, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),

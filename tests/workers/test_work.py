@@ -345,3 +345,52 @@ def test_a_cancel_ends_the_isolated_process_soon(bench):
         started = time.monotonic()
         assert running.result(timeout=15) == []
     assert time.monotonic() - started < 10
+
+
+def _with(bench, stage_name, **fields):
+    steps = bench.pipeline.steps
+    bench.pipeline = replace(bench.pipeline, steps={**steps, stage_name: replace(steps[stage_name], **fields)})
+
+
+def test_a_shard_that_is_run_again_finds_the_checkpoint_of_the_attempt_before(in_process):
+    seen = []
+
+    def run(inputs, shard_):
+        seen.append(inputs.checkpoint.read_text() if inputs.checkpoint.exists() else None)
+        inputs.checkpoint.write_text(f"attempt {len(seen)}")
+        if len(seen) == 1:
+            raise RuntimeError("killed")
+        return [b"chosen"]
+
+    _with(in_process, Stage.PLACEMENT, run=run)
+    job_id, message = in_process.submit()
+    in_process.run(message)
+    assert in_process.job(job_id).state == "done"
+    assert seen == [None, "attempt 1"]
+    assert list(in_process.artifacts.checkpoints.iterdir()) == []
+
+
+def test_what_a_clock_may_have_stopped_is_no_other_jobs_but_a_whole_result_is_anyones(in_process):
+    runs = []
+
+    def run(inputs, shard_):
+        runs.append(inputs.settings.budget)
+        return [str(len(runs)).encode()]
+
+    for timed in (True, True, False, True):  # the third leaves a key, which the fourth finds
+        _with(in_process, Stage.PLACEMENT, run=run, timed=lambda settings, timed=timed: timed)
+        job_id, message = in_process.submit()
+        in_process.run(message)
+    assert len(runs) == 3
+    with read(in_process.engine) as tx:
+        keys = tx.execute(
+            sa.select(shard.c.key, shard.c.cached).join(stage, stage.c.id == shard.c.stage_id)
+            .join(job, job.c.id == shard.c.job_id).where(stage.c.name == "placement", shard.c.kind == "run")
+            .order_by(job.c.created_at, job.c.id)
+        ).all()  # fmt: skip
+    assert sorted((k.key is None, k.cached) for k in keys) == [
+        (False, False),
+        (False, True),
+        (True, False),
+        (True, False),
+    ]

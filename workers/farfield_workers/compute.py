@@ -42,6 +42,7 @@ class Call:
     digests: Mapping[str, str]  # stage -> SHA-256
     pieces: Sequence[str]  # paths
     outcomes: Sequence[Mapping[str, Any]]
+    checkpoint: str | None = None  # path of a file that outlives a killed run
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,8 @@ def inputs_of(call: Call, *, mapped: bool) -> Inputs:
     """Return what the stage sees; without its artifacts where only the key is wanted."""
     artifacts = {Stage(s): map_file(Path(path)) for s, path in call.artifacts.items()} if mapped else {}
     digests = {Stage(s): digest for s, digest in call.digests.items()}
-    return Inputs(from_mapping(call.settings), artifacts, digests, Path(call.scene_file))
+    checkpoint = Path(call.checkpoint) if call.checkpoint is not None else None
+    return Inputs(from_mapping(call.settings), artifacts, digests, Path(call.scene_file), checkpoint)
 
 
 def compute(pipeline: Pipeline, call: Call, out: Path) -> Result:

@@ -12,12 +12,14 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import sqlalchemy as sa
 from farfield.errors import FarfieldError, StageFailed
 from farfield.pipeline import shard_key
+from farfield.settings import from_mapping
 from farfield.stages import Stage
 from farfield.store import progress, shards
 from farfield.store.artifacts import LocalArtifacts
@@ -69,6 +71,9 @@ def _run(
         os.link(artifacts.path(held.scene_digest), scene_file)
         call = _call(artifacts, held, pipeline, scene_file)
         key = _key(pipeline, held, call)
+        # Written by whoever runs the shard, under the name of all that shapes its result: it needs no fence.
+        checkpoint = artifacts.checkpoints / key.replace(":", "-") if key is not None else None
+        call = replace(call, checkpoint=str(checkpoint) if checkpoint is not None else None)
         known = shards.known_result(engine, key) if key is not None else None
         if known is not None and artifacts.has(known.artifact_digest):
             found = Result(known.artifact_digest, artifacts.n_bytes(known.artifact_digest), known.peak_bytes or 0)
@@ -82,12 +87,20 @@ def _run(
         if not artifacts.has(found.digest):  # the same bytes were another job's, which was deleted meanwhile
             raise StageFailed(held.stage, "its result was deleted with another job")
 
+    # What a clock may have stopped is no other job's: it has no key, and its checkpoint stays for who has more time.
+    timed = not cached and _timed(pipeline, call)
     ours = shards.commit(
-        engine, held, digest=found.digest, n_bytes=found.n_bytes, key=key, seconds=seconds,
+        engine, held, digest=found.digest, n_bytes=found.n_bytes, key=None if timed else key, seconds=seconds,
         peak_bytes=found.peak_bytes, cached=cached, check=there,
     )  # fmt: skip
     if not ours:
         raise ShardStopped
+    if checkpoint is not None and not timed:
+        checkpoint.unlink(missing_ok=True)
+
+
+def _timed(pipeline: Pipeline, call: Call) -> bool:
+    return call.kind in ("run", "merge") and pipeline.steps[Stage(call.stage)].timed(from_mapping(call.settings))
 
 
 def _compute(pipeline: Pipeline, settings: WorkerSettings, call: Call, out: Path) -> Result:

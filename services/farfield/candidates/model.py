@@ -25,3 +25,15 @@ class Candidates:
     row: np.ndarray  # (N+1,) i64
     view: np.ndarray  # (E,) i32  problem views served, ascending
     saved: np.ndarray  # (E,) i64  cost of the cluster's geometry in that view minus `cost`, > 0
+
+
+def take(candidates: Candidates, which: np.ndarray) -> Candidates:
+    """Return the candidates of these ids (M,), ascending; id k of the result is which[k]."""
+    first, count = candidates.row[which], np.diff(candidates.row)[which]
+    row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    at = np.repeat(first - row[:-1], count) + np.arange(row[-1])
+    return Candidates(
+        cluster=candidates.cluster[which], kind=candidates.kind[which], view_cell=candidates.view_cell[which],
+        bytes=candidates.bytes[which], layers=candidates.layers[which], cost=candidates.cost[which], row=row,
+        view=candidates.view[at], saved=candidates.saved[at],
+    )  # fmt: skip

@@ -1,9 +1,11 @@
-"""Run the lazy greedy of `kernels` to its end, in slices between which progress is told.
+"""Run the lazy greedy of `kernels` to its end, in slices between which progress is told and a checkpoint written.
 
 Problem  Choose candidates, best gain per byte first, until no view is above its target or no candidate helps.
 Method   Lazy recalculation is exact because no score ever rises: a view's excess only falls; a choice is shown only
          where t_i <= drawn, so what covers it gains less, what it covers nothing; bytes and costs are fixed estimates.
          `tests/naive/greedy.py` chooses the same sequence by scoring everything before each choice.
+         Since the sequence depends on scores alone, its first choices are all that a checkpoint needs: they are made
+         again without scoring, everything is scored once, and the loop goes on to the same end.
 Tried    Copying the served entries that can still gain, whenever they had halved: the demo city (39,612 views, 367 k
          candidates, 63 M entries, 21,805 choices) looks at 159 M entries in 34 s of one busy core, with or without.
 """
@@ -16,6 +18,7 @@ import numpy as np
 
 from farfield.candidates.model import Candidates
 from farfield.placement import kernels
+from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.kernels import Queue, Served, Shown
 
 Progress = Callable[[float, dict], None]
@@ -34,12 +37,18 @@ class Choice:
     excess: np.ndarray  # (V,) i64  what each view still costs above its target
 
 
-def choose(candidates: Candidates, *, excess: np.ndarray, end: np.ndarray, progress: Progress | None = None) -> Choice:
+def choose(
+    candidates: Candidates, *, excess: np.ndarray, end: np.ndarray, everywhere: bool = False,
+    progress: Progress | None = None, stop: Callable[[], bool] | None = None, checkpoint: Checkpoint | None = None,
+) -> Choice:  # fmt: skip
     """Return the greedy choice.
 
-    excess    (V,) i64 >= 0, cost of each view above its target; not written to
-    end       (C,) i32, see `antichain.subtree_end`
-    progress  called with the share of the excess that is gone and counters, at most twice a second
+    excess      (V,) i64 >= 0, cost of each view above its target; not written to
+    end         (C,) i32, see `antichain.subtree_end`
+    everywhere  a choice is also shown in views that meet their target, wherever it accelerates
+    progress    called with the share of the excess that is gone and counters, at most twice a second
+    stop        asked several times a second; True ends the loop early
+    checkpoint  read at the start, written every few seconds
     """
     n, n_views = len(candidates.cluster), len(excess)
     served = Served(
@@ -53,20 +62,32 @@ def choose(candidates: Candidates, *, excess: np.ndarray, end: np.ndarray, progr
         uses=np.zeros(n, np.int32), excess=excess.astype(np.int64), step=np.empty(n, np.int32),
         step_over=np.empty(n, np.int64), step_bytes=np.empty(n, np.int64), counter=np.zeros(5, np.int64),
     )  # fmt: skip
-    queue.counter[kernels.OVER] = excess.sum()
-    kernels.fill_queue(served, queue)
-    total, told = max(1, int(excess.sum())), time.monotonic()
-    while (state := kernels.advance(served, shown, queue, TOPS_A_SLICE)) != kernels.DONE:
+    queue.counter[kernels.OVER] = total = int(excess.sum())
+    steps = checkpoint.read(n) if checkpoint is not None else np.zeros(0, np.int32)
+    while kernels.replay(steps, served, shown, queue, everywhere) == kernels.FULL:
+        shown = _with_more_room(shown, queue.counter)
+    kernels.fill_queue(served, shown, queue)
+    told = time.monotonic()
+    while (state := kernels.advance(served, shown, queue, TOPS_A_SLICE, everywhere)) != kernels.DONE:
         if state == kernels.FULL:
             shown = _with_more_room(shown, queue.counter)
+        chosen, over = int(queue.counter[kernels.STEPS]), int(queue.counter[kernels.OVER])
+        if checkpoint is not None:
+            checkpoint.write(queue.step[:chosen])
+        if stop is not None and stop():
+            break
         if progress is not None and time.monotonic() - told > SECONDS_BETWEEN_REPORTS:
             told = time.monotonic()
-            chosen, over = int(queue.counter[kernels.STEPS]), int(queue.counter[kernels.OVER])
-            progress(1 - over / total, {"choices": chosen, "excess": over, "bytes": int(queue.counter[kernels.BYTES])})
-    steps = int(queue.counter[kernels.STEPS])
+            progress(
+                1 - over / max(1, total),
+                {"choices": chosen, "excess": over, "bytes": int(queue.counter[kernels.BYTES])},
+            )
+    n_steps = int(queue.counter[kernels.STEPS])
+    if checkpoint is not None:
+        checkpoint.write(queue.step[:n_steps], at_once=True)
     return Choice(
-        step=queue.step[:steps].copy(), step_over=queue.step_over[:steps].copy(),
-        step_bytes=queue.step_bytes[:steps].copy(), chosen=np.flatnonzero(queue.uses > 0).astype(np.int32),
+        step=queue.step[:n_steps].copy(), step_over=queue.step_over[:n_steps].copy(),
+        step_bytes=queue.step_bytes[:n_steps].copy(), chosen=np.flatnonzero(queue.uses > 0).astype(np.int32),
         excess=queue.excess,
     )  # fmt: skip
 

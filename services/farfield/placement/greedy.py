@@ -6,6 +6,8 @@ Method   `prospects` finds what is out of reach and sets the targets; `choose` r
          views need that the greedy stranded; `prune` deletes in reverse; `tighten` fits view cells to where they are
          needed, and once more `prune`, because tightened impostors cost less; `assign` says what each view shows;
          `evaluate` adds everything up from scratch, and must agree. Integers throughout, ties by id.
+Anytime  Where time is limited, the greedy, then the rescue, are cut short: every view then meets its target at the price
+         of more bytes. What comes after only saves bytes, and stops where it is.
 After    Jeschke, Wimmer, Schumann, Purgathofer. Automatic Impostor Placement for Guaranteed Frame Rates and Low Memory
          Requirements. I3D 2005, sections 5.1 to 5.5. All around the greedy loop is ours.
 """
@@ -14,14 +16,16 @@ from functools import partial
 
 import numpy as np
 
-from farfield.candidates.model import Candidates
+from farfield.candidates.model import Candidates, take
 from farfield.errors import StageFailed
 from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import Offers, offers_of, subtree_end
 from farfield.placement.assign import fastest, least
+from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.choose import Progress, choose
 from farfield.placement.evaluate import evaluate
+from farfield.placement.limit import Limit
 from farfield.placement.model import Placement
 from farfield.placement.prospects import find_prospects
 from farfield.placement.prune import keep, prune
@@ -36,43 +40,53 @@ from farfield.viewspace.model import ProblemViews
 
 def place(
     scene: Scene | None, hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews,
-    candidates: Candidates, *, settings: Settings, refit: Refit | None = None, progress: Progress | None = None,
+    candidates: Candidates, *, settings: Settings, among: np.ndarray | None = None, refit: Refit | None = None,
+    progress: Progress | None = None, checkpoint: Checkpoint | None = None,
 ) -> Placement:  # fmt: skip
     """Return the chosen impostors and what each problem view shows. Raises StageFailed if its own proof fails.
 
     candidates  read only (memory maps will do); sorted by cluster, bytes > 0, saved > 0, views ascending in a row
+    among       (M,) i32 candidates to choose from, ascending, by which every view can meet its target; None: all
     refit       fits a view cell to given cells, see `tighten.Refit`; None: the candidates' own
     progress    called with a share in [0, 1] and counters, at most a few times a second
+    checkpoint  where the greedy keeps its choices
     """
-    _check(hierarchy, views, candidates)
+    check_inputs(hierarchy, views, candidates)
     if not len(views.cell):
         return _nothing_to_place(model, views)
     tell = progress or (lambda share, counters: None)
+    policy, limit = settings.placement, Limit(settings.placement.time_limit_s)
     end = subtree_end(hierarchy.start, hierarchy.stop)
-    prospects = find_prospects(hierarchy, model, views, candidates, end=end)
+    prospects = find_prospects(hierarchy, model, views, candidates, end=end, policy=policy)
     need = views.cost - prospects.target
     tell(0.1, {"hopeless": int(prospects.hopeless.sum())})
 
+    some = candidates if among is None else take(candidates, among)
     choice = choose(
-        candidates, excess=np.maximum(need, 0), end=end,
-        progress=lambda share, counters: tell(0.1 + 0.6 * share, counters),
+        some, excess=np.maximum(need, 0), end=end, everywhere=policy.assignment == "all", stop=limit.over,
+        checkpoint=checkpoint, progress=lambda share, counters: tell(0.1 + 0.6 * share, counters),
     )  # fmt: skip
-    chosen = rescue(candidates, choice.chosen, need=need, end=end)
+    chosen = rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
     tell(0.75, {"choices": len(choice.step), "impostors": len(chosen)})
 
-    impostors, offers = _gather(candidates, chosen, len(need))
-    impostors, offers = _pruned(impostors, offers, need=need, end=end)
+    impostors, offers = _gather(some, chosen, len(need))
+    if policy.reverse_delete:
+        impostors, offers = _pruned(impostors, offers, need=need, end=end, limit=limit)
     tell(0.85, {"impostors": len(impostors.cluster), "bytes": int(impostors.bytes.sum())})
-    impostors, offers = tighten(
-        impostors, offers, needed=least(offers, cluster=impostors.cluster, end=end, need=need), view_cell=views.cell,
-        hierarchy=hierarchy, cells=cells, refit=refit or _candidates_refit(model, settings),
-    )  # fmt: skip
-    impostors, offers = _pruned(impostors, offers, need=need, end=end)
+    if policy.view_cells == "tight" and not limit.over():
+        impostors, offers = tighten(
+            impostors, offers, needed=least(offers, cluster=impostors.cluster, end=end, need=need),
+            view_cell=views.cell, hierarchy=hierarchy, cells=cells, refit=refit or _candidates_refit(model, settings),
+            stop=limit.over,
+        )  # fmt: skip
+        if policy.reverse_delete:
+            impostors, offers = _pruned(impostors, offers, need=need, end=end, limit=limit)
     impostors, offers = _ordered(impostors, offers)
-    if settings.placement.assignment == "least":
+    if policy.assignment == "least":
         shown = least(offers, cluster=impostors.cluster, end=end, need=need)
     else:
         shown = fastest(offers, cluster=impostors.cluster, end=end)
+    impostors, offers, shown = _only_shown(impostors, offers, shown)
     serve_row = np.concatenate([[0], np.cumsum(shown)])[offers.row].astype(np.int64)
     serve = offers.id[shown]
     view_cost = evaluate(
@@ -91,11 +105,12 @@ def place(
         layers=impostors.layers, cost=impostors.cost, serve_row=serve_row, serve=serve, view_cost=view_cost,
         view_target=prospects.target, view_best=prospects.best, hopeless=prospects.hopeless,
         culprit_row=prospects.culprit_row, culprit=prospects.culprit, smallest_budget=prospects.smallest_budget,
-        step_view_cost=choice.step_over, step_bytes=choice.step_bytes,
+        step_view_cost=choice.step_over, step_bytes=choice.step_bytes, stopped=limit.stopped,
     )  # fmt: skip
 
 
-def _check(hierarchy: Hierarchy, views: ProblemViews, candidates: Candidates) -> None:
+def check_inputs(hierarchy: Hierarchy, views: ProblemViews, candidates: Candidates) -> None:
+    """Assert what the stage before promises."""
     assert len(candidates.row) == len(candidates.cluster) + 1 and candidates.row[-1] == len(candidates.view)
     assert (np.diff(candidates.cluster) >= 0).all(), "candidates must be sorted by cluster"
     assert (candidates.bytes > 0).all() and (candidates.cost >= 0).all()
@@ -108,7 +123,7 @@ def _nothing_to_place(model: CostModel, views: ProblemViews) -> Placement:
         cluster=i32, kind=np.zeros(0, np.uint8), view_cell=np.zeros((0, 9)), bytes=i64, layers=i32, cost=i64,
         serve_row=row, serve=i32, view_cost=i64, view_target=i64, view_best=i64, hopeless=np.zeros(0, bool),
         culprit_row=row, culprit=i32, smallest_budget=model.per_frame + int(views.worst_nonproblem),
-        step_view_cost=i64, step_bytes=i64,
+        step_view_cost=i64, step_bytes=i64, stopped=False,
     )  # fmt: skip
 
 
@@ -129,9 +144,17 @@ def _gather(candidates: Candidates, chosen: np.ndarray, n_views: int) -> tuple[I
     return impostors, Offers(row=row, id=id, saved=saved)
 
 
-def _pruned(impostors: Impostors, offers: Offers, *, need: np.ndarray, end: np.ndarray) -> tuple[Impostors, Offers]:
-    stay = prune(offers, cluster=impostors.cluster, bytes=impostors.bytes, need=need, end=end)
+def _pruned(
+    impostors: Impostors, offers: Offers, *, need: np.ndarray, end: np.ndarray, limit: Limit
+) -> tuple[Impostors, Offers]:
+    stay = prune(offers, cluster=impostors.cluster, bytes=impostors.bytes, need=need, end=end, stop=limit.over)
     return impostors.take(stay), keep(offers, stay)
+
+
+def _only_shown(impostors: Impostors, offers: Offers, shown: np.ndarray) -> tuple[Impostors, Offers, np.ndarray]:
+    """Drop the impostors that no view shows: none, after a reverse delete that was not cut short."""
+    stay = np.bincount(offers.id[shown], minlength=len(impostors.cluster)) > 0
+    return impostors.take(stay), keep(offers, stay), shown[stay[offers.id]]
 
 
 def _ordered(impostors: Impostors, offers: Offers) -> tuple[Impostors, Offers]:

@@ -139,15 +139,14 @@ def total_gain(i, served, shown, excess):
 
 
 @njit(cache=True)
-def fill_queue(served, queue):
-    """Score every candidate on the untouched scene and make the heap of those that help."""
-    heap, gain, excess, counter = queue.heap, queue.gain, queue.excess, queue.counter
+def fill_queue(served, shown, queue):
+    """Score every candidate beside what is shown and make the heap of those that help."""
+    heap, gain, counter = queue.heap, queue.gain, queue.counter
     counter[HEAP] = 0
     for i in range(len(served.cluster)):
-        total = np.int64(0)
-        for e in range(served.row[i], served.row[i + 1]):
-            total += min(served.saved[e], excess[served.views[e]])
+        total = total_gain(i, served, shown, queue.excess)
         gain[i] = total
+        queue.scored_at[i] = counter[STEPS]
         if total > 0:
             heap[counter[HEAP]] = i
             counter[HEAP] += 1
@@ -157,11 +156,11 @@ def fill_queue(served, queue):
 
 
 @njit(cache=True)
-def _room_needed(i, served, shown, excess):
+def _room_needed(i, served, shown, excess, everywhere):
     room = np.int64(0)
     for e in range(served.row[i], served.row[i + 1]):
         v = served.views[e]
-        if excess[v] > 0 and shown.length[v] == shown.capacity[v]:
+        if (excess[v] > 0 or everywhere) and shown.length[v] == shown.capacity[v]:
             room += max(FIRST_CAPACITY, 2 * shown.capacity[v])
     return room
 
@@ -202,14 +201,17 @@ def _replace(v, first, last, i, node, saved, shown, counter):
 
 
 @njit(cache=True)
-def _choose(i, served, shown, queue):
-    """Show impostor i in every view where it gains; what it covers gives way, and weighs nothing once shown nowhere."""
+def _choose(i, served, shown, queue, everywhere):
+    """Show impostor i in every view where it gains; what it covers gives way, and weighs nothing once shown nowhere.
+
+    everywhere  also where the target is met already, if it accelerates: that changes no score, but what is displaced
+    """
     node, counter, excess, uses = served.cluster[i], queue.counter, queue.excess, queue.uses
     counter[BYTES] += served.bytes[i]
     for e in range(served.row[i], served.row[i + 1]):
         v = served.views[e]
         over = excess[v]
-        if over <= 0:
+        if over <= 0 and not everywhere:
             continue
         change, first, last = _change(v, node, served.saved[e], served.end, shown)
         if change <= 0:
@@ -232,7 +234,7 @@ def _choose(i, served, shown, queue):
 
 
 @njit(cache=True)
-def advance(served, shown, queue, n_tops):
+def advance(served, shown, queue, n_tops, everywhere):
     """Look at the heap's top n_tops times: score it again, or choose it. Returns DONE, MORE, or FULL (make room first).
 
     A choice needs an up-to-date score, and no score ever rises, so the choice is the naive greedy's.
@@ -250,9 +252,20 @@ def advance(served, shown, queue, n_tops):
             else:
                 _sink(heap, counter[HEAP], 0, gain, served.bytes)
             continue
-        if counter[ARENA] + _room_needed(i, served, shown, queue.excess) > len(shown.node):
+        if counter[ARENA] + _room_needed(i, served, shown, queue.excess, everywhere) > len(shown.node):
             return FULL
-        _choose(i, served, shown, queue)
+        _choose(i, served, shown, queue, everywhere)
         gain[i] = 0
         _pop(heap, counter, gain, served.bytes)
     return MORE
+
+
+@njit(cache=True)
+def replay(steps, served, shown, queue, everywhere):
+    """Choose what is left of `steps`, without asking for scores. Returns DONE, or FULL (make room first)."""
+    while queue.counter[STEPS] < len(steps):
+        i = steps[queue.counter[STEPS]]
+        if queue.counter[ARENA] + _room_needed(i, served, shown, queue.excess, everywhere) > len(shown.node):
+            return FULL
+        _choose(i, served, shown, queue, everywhere)
+    return DONE

@@ -22,7 +22,7 @@ class Placement:
     serve_row: np.ndarray  # (V+1,) i64
     serve: np.ndarray  # (S,) i32
     view_cost: np.ndarray  # (V,) i64  bound with the impostors shown, re-evaluated from scratch
-    view_target: np.ndarray  # (V,) i64  model.target, or 1.05 of the best for a hopeless view
+    view_target: np.ndarray  # (V,) i64  model.target, or what the policy says for a hopeless view
     view_best: np.ndarray  # (V,) i64  least cost that any combination of candidates reaches
     hopeless: np.ndarray  # (V,) b1   view_best > model.target
     culprit_row: np.ndarray  # (H+1,) i64  for the h-th hopeless view (ascending): objects to blame ...
@@ -30,3 +30,4 @@ class Placement:
     smallest_budget: int  # least budget (with per_frame) that every view could meet
     step_view_cost: np.ndarray  # (G,) i64  after each accepted choice: sum over views of what is above target
     step_bytes: np.ndarray  # (G,) i64  ... and the bytes chosen so far
+    stopped: bool  # a wall-clock limit cut the search short: another run may end elsewhere

@@ -3,10 +3,13 @@
 Problem  A budget may be out of reach in some views whatever is chosen. Chasing it there would eat the memory (in a
          prototype 2.7 % hopeless views took 30 % of all bytes).
 Method   The best antichain over all candidates bounds every combination of them from below. Views above the budget even
-         so are hopeless; their target is 1.05 of their best, and the objects that stay geometry there are to blame.
+         so are hopeless, and the objects that stay geometry there are to blame. `near_best`: their target is a little
+         above their best, as if that were their budget. `geometry`: their target is what they cost, so that nothing is
+         spent on them; what others need is shown there too, for nothing.
 """
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -14,11 +17,11 @@ from farfield.candidates.model import Candidates
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import best_in_views, cheapest_offers
 from farfield.rendertime.model import CostModel
+from farfield.settings import PlacementSettings
 from farfield.viewspace.cost import view_objects
 from farfield.viewspace.model import ProblemViews
 
 CULPRITS = 16
-SLACK_PERCENT = 105  # target of a hopeless view, in percent of its best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,11 +37,13 @@ class Prospects:
 
 
 def find_prospects(
-    hierarchy: Hierarchy, model: CostModel, views: ProblemViews, candidates: Candidates, *, end: np.ndarray
-) -> Prospects:
+    hierarchy: Hierarchy, model: CostModel, views: ProblemViews, candidates: Candidates, *, end: np.ndarray,
+    policy: PlacementSettings | None = None,
+) -> Prospects:  # fmt: skip
     """Return the best that candidates allow in each view, the targets, and the smallest budget that all views can meet.
 
-    end  (C,) i32, see `antichain.subtree_end`
+    end     (C,) i32, see `antichain.subtree_end`
+    policy  what hopeless views get; None: the default
     smallest_budget is proven for these candidates: where nothing is hopeless, views that are no problem today bound it.
     """
     row, id, saved = cheapest_offers(
@@ -47,7 +52,7 @@ def find_prospects(
     take = np.empty(len(id), dtype=bool)
     best = views.cost - best_in_views(row, id, saved, candidates.cluster, end, take)
     hopeless = best > model.target
-    target = np.where(hopeless, (best * SLACK_PERCENT + 99) // 100, model.target)
+    target = targets(views.cost, best, model.target, policy or PlacementSettings())
     culprits = [
         _culprits(views, int(v), hierarchy, candidates.cluster[id[row[v] : row[v + 1]][take[row[v] : row[v + 1]]]])
         for v in np.flatnonzero(hopeless)
@@ -58,6 +63,16 @@ def find_prospects(
         culprit=np.concatenate([np.zeros(0, np.int32), *culprits]).astype(np.int32),
         smallest_budget=model.per_frame + max(int(best.max(initial=0)), int(views.worst_nonproblem)),
     )  # fmt: skip
+
+
+def targets(cost: np.ndarray, best: np.ndarray, target: int, policy: PlacementSettings) -> np.ndarray:
+    """Return what each view is to cost at most (V,) i64: `target`, or where `best` is above it what the policy says."""
+    out = np.full(len(best), target, dtype=np.int64)
+    slack = Fraction(str(policy.hopeless_slack))
+    for v in np.flatnonzero(best > target):
+        near = -(-int(best[v]) * slack.numerator // slack.denominator)
+        out[v] = cost[v] if policy.hopeless == "geometry" else min(int(cost[v]), near)
+    return out
 
 
 def _culprits(views: ProblemViews, v: int, hierarchy: Hierarchy, replaced: np.ndarray) -> np.ndarray:

@@ -9,12 +9,15 @@ Tried    Other orders, a made-up city of 2,922 views, 36.5 MB before: by bytes a
          per cost saved 32.38, per use in `least` 32.38, last chosen first 32.34. The order hardly matters.
 """
 
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
 from numba import njit
 
 from farfield.placement.antichain import Offers, best_antichain, best_in_views
+
+IDS_A_SLICE = 256
 
 
 @njit(cache=True)
@@ -37,10 +40,9 @@ def _entries_by_id(row: np.ndarray, id: np.ndarray, n: int) -> tuple[np.ndarray,
 @njit(cache=True)
 def _drop_in_order(
     order: np.ndarray, row: np.ndarray, id: np.ndarray, saved: np.ndarray, cluster: np.ndarray, end: np.ndarray,
-    need: np.ndarray, used: np.ndarray, id_row: np.ndarray, view: np.ndarray, entry: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Return (I,) b1, what is left of the ids; `used` (S,) b1 is each view's best antichain, before and after."""
-    live = np.ones(len(cluster), np.bool_)
+    need: np.ndarray, used: np.ndarray, id_row: np.ndarray, view: np.ndarray, entry: np.ndarray, live: np.ndarray,
+) -> None:  # fmt: skip
+    """Clear in `live` (I,) b1 what can go; `used` (S,) b1 is each view's best antichain, before and after."""
     widest = 0
     for v in range(len(row) - 1):
         widest = max(widest, row[v + 1] - row[v])
@@ -68,15 +70,18 @@ def _drop_in_order(
                     break
             if live[s]:
                 break
-    return live
 
 
-def prune(offers: Offers, *, cluster: np.ndarray, bytes: np.ndarray, need: np.ndarray, end: np.ndarray) -> np.ndarray:
+def prune(
+    offers: Offers, *, cluster: np.ndarray, bytes: np.ndarray, need: np.ndarray, end: np.ndarray,
+    stop: Callable[[], bool] = lambda: False,
+) -> np.ndarray:  # fmt: skip
     """Return (I,) b1: which impostors stay. Every view that could save `need` with all of them still can.
 
     offers  ids count the impostors
     cluster, bytes  (I,) i32, i64 of the impostors, ascending clusters
     need    (V,) i64 cost of each view minus its target; within reach of all of them together
+    stop    asked every IDS_A_SLICE impostors: True ends it, and what was not tried stays
     """
     n = len(cluster)
     used = np.empty(len(offers.id), dtype=bool)
@@ -85,10 +90,15 @@ def prune(offers: Offers, *, cluster: np.ndarray, bytes: np.ndarray, need: np.nd
     uses = np.bincount(offers.id[used], minlength=n)
     order = sorted(range(n), key=lambda s: (-Fraction(int(bytes[s]), int(uses[s])) if uses[s] else -np.inf, s))
     id_row, view, entry = _entries_by_id(offers.row, offers.id, n)
-    return _drop_in_order(
-        np.array(order, dtype=np.int64), offers.row, offers.id, offers.saved, cluster, end, need, used,
-        id_row, view, entry,
-    )  # fmt: skip
+    live = np.ones(n, dtype=bool)
+    for first in range(0, n, IDS_A_SLICE):
+        if stop():
+            break
+        _drop_in_order(
+            np.array(order[first : first + IDS_A_SLICE], dtype=np.int64), offers.row, offers.id, offers.saved, cluster,
+            end, need, used, id_row, view, entry, live,
+        )  # fmt: skip
+    return live
 
 
 def keep(offers: Offers, stay: np.ndarray) -> Offers:

@@ -7,7 +7,10 @@ Method   Views in the order of what they lack, most first. In each, the best ant
          it. That is the Lagrangian of the lightest antichain: exact on the hull of (bytes, saved), and each view's
          answer serves the views after it. Multiplier infinity is the best antichain of all candidates, which always
          suffices, because no target is below a view's best. `prune` removes what became superfluous.
+         Once time is up, the views left take their best antichain as it is, unless what was added serves them.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -56,11 +59,25 @@ def lightest_antichain(
     return True
 
 
-def rescue(candidates: Candidates, chosen: np.ndarray, *, need: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _any_antichain(
+    node: np.ndarray, saved: np.ndarray, price: np.ndarray, need: int, end: np.ndarray, take: np.ndarray
+) -> bool:
+    """As `lightest_antichain`, without the search: what costs nothing if that is enough, else what saves most."""
+    stack = np.empty(len(node), np.int32), np.empty(len(node), np.int64)
+    if best_antichain(node, np.where(price == 0, saved, 0), end, take, *stack) >= need:
+        return True
+    return bool(best_antichain(node, saved, end, take, *stack) >= need)
+
+
+def rescue(
+    candidates: Candidates, chosen: np.ndarray, *, need: np.ndarray, end: np.ndarray,
+    stop: Callable[[], bool] = lambda: False,
+) -> np.ndarray:  # fmt: skip
     """Return `chosen` with what it takes that every view can save what it needs, ascending.
 
     chosen  (I,) i32 candidates, ascending
     need    (V,) i64 cost of each view minus its target
+    stop    asked before each view: True ends the search for few bytes, not the rescue
     """
     everywhere = np.ones(len(need), dtype=bool)
     row, id, saved = offers_of(chosen, candidates.row, candidates.view, candidates.saved, everywhere)
@@ -74,11 +91,12 @@ def rescue(candidates: Candidates, chosen: np.ndarray, *, need: np.ndarray, end:
     price[chosen] = 0
     views = np.flatnonzero(stranded)
     for v in views[np.argsort(-(need - reached)[views], kind="stable")]:
-        offered = id[row[v] : row[v + 1]]
-        take = np.empty(len(offered), dtype=bool)
-        met = lightest_antichain(
-            candidates.cluster[offered], saved[row[v] : row[v + 1]], price[offered], need[v], end, take
-        )  # fmt: skip
+        offered, saves = id[row[v] : row[v + 1]], saved[row[v] : row[v + 1]]
+        node, take = candidates.cluster[offered], np.empty(len(offered), dtype=bool)
+        if stop():
+            met = _any_antichain(node, saves, price[offered], need[v], end, take)
+        else:
+            met = lightest_antichain(node, saves, price[offered], need[v], end, take)
         assert met, f"problem view {v}: its target is below the best that its candidates reach"
         price[offered[take]] = 0
     return np.flatnonzero(price == 0).astype(np.int32)

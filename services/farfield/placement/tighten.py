@@ -44,12 +44,13 @@ class Impostors:
 
 def tighten(
     impostors: Impostors, offers: Offers, *, needed: np.ndarray, view_cell: np.ndarray, hierarchy: Hierarchy,
-    cells: CellTree, refit: Refit,
+    cells: CellTree, refit: Refit, stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Impostors, Offers]:  # fmt: skip
     """Return the impostors with view cells fitted to where they are needed, and what they offer then.
 
     needed     (S,) b1, offers that some view cannot do without
     view_cell  (V,) i32, leaf cell of each problem view
+    stop       asked before each impostor: True leaves the rest as they are
     """
     kind, shape = impostors.kind.copy(), impostors.view_cell.copy()
     bytes, layers, cost = impostors.bytes.copy(), impostors.layers.copy(), impostors.cost.copy()
@@ -61,6 +62,8 @@ def tighten(
     first = np.searchsorted(kept, np.arange(n + 1, dtype=np.int64) * n_cells)
     refitted = np.zeros(n, dtype=bool)
     for s in range(n):
+        if stop():
+            break
         served = kept[first[s] : first[s + 1]] - s * n_cells
         if len(served):
             k, fitted, b, m, c = refit(hierarchy.box[impostors.cluster[s]], cell_box[served])

@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,15 +19,19 @@ from typing import Any
 from farfield.errors import ArtifactMissing
 
 CHUNK_BYTES = 1 << 20
+CHECKPOINT_S = 7 * 86400.0  # age at which the checkpoint of a shard that nobody finished is removed
 
 
 class LocalArtifacts:
-    """The blobs in `root`: `root/ab/abcdef...`; `root/tmp` holds what is being written."""
+    """The blobs in `root`: `root/ab/abcdef...`; `root/tmp` holds what is being written, `root/checkpoints` what a killed
+    shard goes on from."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self.temporary = root / "tmp"
         self.temporary.mkdir(parents=True, exist_ok=True)
+        self.checkpoints = root / "checkpoints"
+        self.checkpoints.mkdir(exist_ok=True)
 
     def path(self, digest: str) -> Path:
         """Return where the blob lies, or would. Raises ArtifactMissing where `digest` is not a digest."""
@@ -77,9 +82,12 @@ class LocalArtifacts:
         self.path(digest).unlink(missing_ok=True)
 
     def clear_temporary(self) -> None:
-        """Remove what a killed process left half-written. Only for who knows that nobody writes."""
+        """Remove what killed processes left half-written, and old checkpoints. Only for who knows that nobody writes."""
         shutil.rmtree(self.temporary)
         self.temporary.mkdir()
+        for file in self.checkpoints.iterdir():
+            if time.time() - file.stat().st_mtime > CHECKPOINT_S:
+                file.unlink(missing_ok=True)
 
     def digests(self) -> Iterator[str]:
         """Yield the name of every blob, in order."""
