@@ -11,6 +11,7 @@ Method   1. Raw shafts (apex angles, directions and smallest distances in steps)
             the shard serves more efficiently (`kernels.is_needed`). So every cell that any can serve is served.
          4. Shrink-wrap: the tightest shaft and the tightest box around exactly these cells; the lighter is taken, and
             serves every cell that it holds.
+            With `placement.view_cells = "raw"`, the paper's way, the raw view cell stays as it is.
             Bytes, layers and cost follow from `farfield.impostor.frames`, the same plan that the bake follows.
 Errs     Bytes, layers and cost are upper bounds; a view cell holds every cell that it serves.
 Shards   Ranges of clusters in preorder, from a rule that knows nothing of workers.
@@ -75,6 +76,7 @@ class _Work:
     floor: int  # what the cheapest impostor costs
     shafts: bool
     boxes: bool
+    raw: bool  # view cells as found, not fitted
     cell_box: np.ndarray
     keys: np.ndarray
     directions: np.ndarray
@@ -108,7 +110,8 @@ def _prepare(
     return _Work(
         delta=p.delta, dl=p.dl, screen=rendertime.screen(model), coefficient=_coefficient(model),
         floor=_floor(model), share=share, outdone=outdone,
-        shafts=wanted != "boxes", boxes=wanted != "shafts", cell_box=np.ascontiguousarray(cells.cell_box),
+        shafts=wanted != "boxes", boxes=wanted != "shafts", raw=settings.placement.view_cells == "raw",
+        cell_box=np.ascontiguousarray(cells.cell_box),
         keys=kernels.cell_keys(cells.n_cells), directions=directions(),
         view_row=np.searchsorted(views.cell, np.arange(cells.n_cells + 1)).astype(np.int64),
         excess=views.cost - model.target,
@@ -152,16 +155,23 @@ def generate(
                 continue
             useful = np.flatnonzero(gain)
             box = np.ascontiguousarray(hierarchy.box[c])
+            size = float(np.sqrt(((box[1] - box[0]) ** 2).sum()))
             hold = np.empty((d, len(useful)), dtype=np.uint8)
             n = kernels.find_sets(
-                (box[0] + box[1]) / 2, float(np.sqrt(((box[1] - box[0]) ** 2).sum())), useful, work.cell_box, work.keys,
-                work.directions, cells.start, cells.stop, work.shafts, work.boxes, bucket, bucket_count, hold,
-                table_key, table_id, source,
+                (box[0] + box[1]) / 2, size, useful, work.cell_box, work.keys, work.directions, cells.start,
+                cells.stop, work.shafts, work.boxes, bucket, bucket_count, hold, table_key, table_id, source,
             )  # fmt: skip
             row, member = np.empty(n + 1, dtype=np.int64), np.empty(source[:n, 3].sum(), dtype=np.int64)
             kernels.list_members(n, source, useful, hold, cells.start, cells.stop, row, member)
             weight, efficiency = np.empty(n), np.empty(n)
-            kernels.weigh_sets(row, member, gain, work.cell_box, box, work.delta, work.dl, weight, efficiency)
+            raw = np.empty((n if work.raw else 0, 9))
+            if work.raw:
+                kernels.raw_cells(
+                    n, source, (box[0] + box[1]) / 2, size, work.directions, work.cell_box, cells.start, cells.stop, raw
+                )  # fmt: skip
+            kernels.weigh_sets(
+                row, member, gain, work.cell_box, box, work.delta, work.dl, source, raw, weight, efficiency
+            )  # fmt: skip
             order = np.argsort(-efficiency, kind="stable")
             inside, view_cell = np.empty((n, len(useful)), dtype=np.int64), np.zeros((n, 9))
             number, served = np.empty((n, 3), np.int64), np.empty((n, 3), np.int64)
@@ -169,7 +179,7 @@ def generate(
             count = kernels.choose_sets(
                 order, row, member, useful, gain, work.cell_box, box, work.shafts, work.boxes, work.delta, work.dl,
                 work.screen, work.coefficient, costs[k], work.view_row, weight, efficiency, above, work.share,
-                work.outdone, points, inside, view_cell, number, served, reach[c],
+                work.outdone, points, source, raw, inside, view_cell, number, served, reach[c],
             )  # fmt: skip
             for i in rows.start(c, count, view_cell, number, served):
                 view, saved = np.empty(served[i, 2], dtype=np.int32), np.empty(served[i, 2], dtype=np.int64)

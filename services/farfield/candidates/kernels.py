@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 
 from farfield.impostor.cells import shaft_holds, wrap_box, wrap_shaft
-from farfield.impostor.frames import SHAFT, TEXEL, TEXELS, S, lay_out_best, weigh_quickly
+from farfield.impostor.frames import BOX, SHAFT, TEXEL, TEXELS, S, lay_out_best, weigh_quickly
 from farfield.impostor.kernels import cut_triangles
 from farfield.impostor.weight import IMPOSTOR_BYTES, LAYER_BYTES, MAX_LAYER_TRIANGLES, MAX_LAYERS, TEXEL_BYTES
 from farfield.rendertime.kernels import impostor_cost, rect_pixels
-from farfield.viewspace.kernels import running_costs
+from farfield.viewspace.kernels import first_at_least
 
 DISTANCES = 11  # smallest distances of raw shafts: 2^0 .. 2^10 cluster sizes
 ANGLES_DEG = (11.25, 22.5, 45.0, 90.0)  # apex angles of raw shafts
@@ -69,8 +69,11 @@ def shaft_class(apex, size, box, direction):
 
 
 @njit(cache=True)
-def _insert(table_key, table_id, lo, hi, new_id):
-    """Return the id stored under the 128-bit key, or store new_id and return -1. Open addressing; id -1 is free."""
+def _insert(table_key, table_id, slot_of, lo, hi, new_id):
+    """Return the id stored under the 128-bit key, or store new_id and return -1. Open addressing; id -1 is free.
+
+    slot_of  out: where new_id went, so that a table is emptied in as many steps as it holds sets
+    """
     mask = np.uint64(len(table_id) - 1)
     slot = lo & mask
     while table_id[slot] >= 0:
@@ -78,21 +81,22 @@ def _insert(table_key, table_id, lo, hi, new_id):
             return table_id[slot]
         slot = (slot + np.uint64(1)) & mask
     table_key[slot, 0], table_key[slot, 1], table_id[slot] = lo, hi, new_id
+    slot_of[new_id] = slot
     return -1
 
 
 @njit(cache=True)
 def find_sets(
-    apex, size, useful, cell_box, keys, directions, tree_start, tree_stop, shafts, boxes,
-    bucket, bucket_count, hold, table_key, table_id, source,
+    apex, size, useful, cell_box, keys, directions, tree_start, tree_low, tree_high, shafts, boxes,
+    bucket, bucket_count, hold, table_key, table_id, slot_of, source,
 ):  # fmt: skip
     """Find the distinct sets of useful cells that raw view cells hold; return how many, and fill `source` (S,4).
 
-    useful       (U,) ascending cells that count
-    tree_start, tree_stop  (K,) leaf ranges of the view-space tree's nodes: raw boxes, taken where `boxes`
+    useful       (U,) ascending cells that count; cell_box (U,2,3) and keys (U,2) are theirs
+    tree_start, tree_low, tree_high  (K,) first leaf and children of the view-space tree's nodes: raw boxes, where `boxes`
     bucket       (D,4,11,2) u64 zeros, bucket_count (D,4,11) i32 zeros: scratch, left zero
     hold         (D,U) u1 out: 11 a + k of the narrowest and farthest raw shaft that holds a useful cell; 255 none
-    table_key, table_id    hash table, ids -1, length a power of two; left so
+    table_key, table_id    hash table, ids -1, length a power of two; left so. slot_of (S,) scratch
     source       rows: direction, angle, distance of a raw shaft that holds the set, cells in it; a node of the tree is
                  -1, node, 0, cells. Of raw view cells with the same set the first counts, boxes before shafts.
     """
@@ -101,16 +105,25 @@ def find_sets(
         # running sums over the useful cells: a node's key is a difference of two
         lo_sum, hi_sum = np.zeros(len(useful) + 1, dtype=np.uint64), np.zeros(len(useful) + 1, dtype=np.uint64)
         for j in range(len(useful)):
-            lo_sum[j + 1] = lo_sum[j] + keys[useful[j], 0]
-            hi_sum[j + 1] = hi_sum[j] + keys[useful[j], 1]
-        for node in range(len(tree_start)):
-            a, b = np.searchsorted(useful, tree_start[node]), np.searchsorted(useful, tree_stop[node])
-            if a < b and _insert(table_key, table_id, lo_sum[b] - lo_sum[a], hi_sum[b] - hi_sum[a], n) < 0:
+            lo_sum[j + 1] = lo_sum[j] + keys[j, 0]
+            hi_sum[j + 1] = hi_sum[j] + keys[j, 1]
+        # in preorder, and only nodes with useful cells: what the work grows with is the cells, not the tree
+        waiting = [(0, 0, len(useful))]
+        while len(waiting):
+            node, a, b = waiting.pop()
+            if _insert(table_key, table_id, slot_of, lo_sum[b] - lo_sum[a], hi_sum[b] - hi_sum[a], n) < 0:
                 source[n, 0], source[n, 1], source[n, 2], source[n, 3] = -1, node, 0, b - a
                 n += 1
+            if tree_low[node] < 0:
+                continue
+            middle = a + np.searchsorted(useful[a:b], tree_start[tree_high[node]])
+            if middle < b:
+                waiting.append((tree_high[node], middle, b))
+            if a < middle:
+                waiting.append((tree_low[node], a, middle))
     if shafts:
         for j in range(len(useful)):
-            box = cell_box[useful[j]]
+            box = cell_box[j]
             px = (box[0, 0] + box[1, 0]) / 2 - apex[0]
             py = (box[0, 1] + box[1, 1]) / 2 - apex[1]
             pz = (box[0, 2] + box[1, 2]) / 2 - apex[2]
@@ -122,8 +135,8 @@ def find_sets(
                 a, k = shaft_class(apex, size, box, directions[d])
                 if a >= 0:
                     hold[d, j] = DISTANCES * a + k
-                    bucket[d, a, k, 0] += keys[useful[j], 0]
-                    bucket[d, a, k, 1] += keys[useful[j], 1]
+                    bucket[d, a, k, 0] += keys[j, 0]
+                    bucket[d, a, k, 1] += keys[j, 1]
                     bucket_count[d, a, k] += 1
         for d in range(len(directions)):
             for a in range(4):
@@ -139,18 +152,19 @@ def find_sets(
                     lo += bucket[d, a, k, 0]
                     hi += bucket[d, a, k, 1]
                     m += bucket_count[d, a, k]
-                    if _insert(table_key, table_id, lo, hi, n) < 0:
+                    if _insert(table_key, table_id, slot_of, lo, hi, n) < 0:
                         source[n, 0], source[n, 1], source[n, 2], source[n, 3] = d, a, k, m
                         n += 1
             bucket[d] = 0
             bucket_count[d] = 0
-    table_id[:] = -1
+    for i in range(n):
+        table_id[slot_of[i]] = -1
     return n
 
 
 @njit(cache=True)
 def list_members(n, source, useful, hold, tree_start, tree_stop, row, member):
-    """Fill row (S+1,) and member: the cells of set i, ascending, are member[row[i] : row[i + 1]]."""
+    """Fill row (S+1,) and member: the cells of set i, ascending places in `useful`, are member[row[i] : row[i + 1]]."""
     inside = np.zeros(256, dtype=np.bool_)
     row[0] = 0
     for i in range(n):
@@ -158,7 +172,7 @@ def list_members(n, source, useful, hold, tree_start, tree_stop, row, member):
         d, angle, distance = source[i, 0], source[i, 1], source[i, 2]
         if d < 0:
             for j in range(np.searchsorted(useful, tree_start[angle]), np.searchsorted(useful, tree_stop[angle])):
-                member[at] = useful[j]
+                member[at] = j
                 at += 1
         else:
             for h in range(4 * DISTANCES):
@@ -166,50 +180,112 @@ def list_members(n, source, useful, hold, tree_start, tree_stop, row, member):
             held = hold[d]
             for j in range(len(useful)):
                 if inside[held[j]]:
-                    member[at] = useful[j]
+                    member[at] = j
                     at += 1
         row[i + 1] = at
 
 
 @njit(cache=True)
-def cluster_costs(views, start, stop, out):
-    """Fill out (C,V): the cost of objects [start[c], stop[c]) in each problem view. views: `farfield.viewspace.cost.Runs`."""
-    low, high, n_views = start.min(), stop.max(), out.shape[1]
-    running = np.empty(high - low + 1, dtype=np.int64)
-    tile = np.empty((64, len(start)), dtype=np.int64)  # so that `out` is written in runs
-    for first in range(0, n_views, 64):
-        last = min(first + 64, n_views)
-        for v in range(first, last):
-            running_costs(views, v, low, high, running)
-            for c in range(len(start)):
-                tile[v - first, c] = running[stop[c] - low] - running[start[c] - low]
-        for c in range(len(start)):
-            for v in range(first, last):
-                out[c, v] = tile[v - first, c]
+def _cost_below(views, v, begin, p, low, high):
+    """Return (cost of view v's objects at positions < p of its list, the first run in [low, high] that ends past p)."""
+    last = views.row[v + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if views.run[middle, 1] <= p:
+            low = middle + 1
+        else:
+            high = middle
+    if low == last:
+        return views.cost[v], low
+    first = views.run[low, 0]
+    if p <= first:
+        return views.before[low], low
+    skipped = views.list_through[begin + first - 1] if first > 0 else np.int64(0)
+    return views.before[low] + views.list_through[begin + p - 1] - skipped, low
 
 
 @njit(cache=True)
-def cell_gains(costs, excess, view_row, floor, gain):
-    """Fill gain (L,): sum over a cell's problem views of what the cheapest impostor could spare there, min(cost - floor,
-    excess); return the number of cells with a view that costs more than floor."""
+def list_pairs(views, start, stop, left, right, nodes, floor, count, row, view, cost):
+    """List the pairs of a cluster in nodes = [a, b) and a problem view in which it costs more than `floor` >= 0.
+
+    views       `farfield.viewspace.cost.Runs`
+    start .. right  (C,) the hierarchy in preorder
+    count       (b - a,) i64 out: pairs of each cluster
+    row         (b - a + 1,) i64: cluster a + i's pairs go to view (P,) i32, ascending, and cost (P,) i64 at [row[i],
+                row[i + 1]); where `view` is empty they are only counted
+    A cluster costs no more than one around it: each view descends from the top and leaves what costs too little, so that
+    the work is linear in the pairs that are found.
+    """
+    a, b = nodes
+    low, high = start[a], stop[a]
+    tops = [a]
+    for c in range(a + 1, b):
+        if start[c] >= high:
+            tops.append(c)
+            high = stop[c]
+    count[:] = 0
+    fill = len(view) > 0
+    n_views = len(views.cost)
+    for v in range(n_views):
+        list_id = views.list[v]
+        begin, end = views.list_row[list_id], views.list_row[list_id + 1]
+        p0 = first_at_least(views.list_object, begin, end, low) - begin
+        p1 = first_at_least(views.list_object, begin + p0, end, high) - begin
+        c0, r0 = _cost_below(views, v, begin, p0, views.row[v], views.row[v + 1])
+        c1, r1 = _cost_below(views, v, begin, p1, r0, views.row[v + 1])
+        if c1 - c0 <= floor:
+            continue
+        # what is waiting: cluster, its positions, the cost below each, and their runs
+        waiting = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
+        waiting.pop()
+        for top in tops:
+            p = first_at_least(views.list_object, begin + p0, begin + p1, start[top]) - begin
+            q = first_at_least(views.list_object, begin + p, begin + p1, stop[top]) - begin
+            cp, rp = _cost_below(views, v, begin, p, r0, r1)
+            cq, rq = _cost_below(views, v, begin, q, rp, r1)
+            waiting.append((np.int64(top), p, q, cp, cq, rp, rq))
+            while len(waiting):
+                c, p, q, cp, cq, rp, rq = waiting.pop()
+                if c >= b or cq - cp <= floor:
+                    continue
+                if fill:
+                    at = row[c - a] + count[c - a]
+                    view[at], cost[at] = v, cq - cp
+                count[c - a] += 1
+                if left[c] < 0:
+                    continue
+                m = first_at_least(views.list_object, begin + p, begin + q, start[right[c]]) - begin
+                cm, rm = _cost_below(views, v, begin, m, rp, rq)
+                waiting.append((np.int64(right[c]), m, q, cm, cq, rm, rq))
+                waiting.append((np.int64(left[c]), p, m, cp, cm, rp, rm))
+
+
+@njit(cache=True)
+def cell_gains(view, cost, cell, excess, floor, useful, view_row, gain):
+    """Group a cluster's pairs by cell: return the number of cells U, and fill the first U of
+
+    useful    (P,) i64 the cells, ascending; view_row (P+1,) i64: cell i has pairs [view_row[i], view_row[i + 1])
+    gain      (P,) i64: what the cheapest impostor could spare there, the sum of min(cost - floor, excess)
+    from view, cost (P,) in order of view; cell, excess (V,) of every view.
+    """
     n = 0
-    for i in range(len(gain)):
-        total = np.int64(0)
-        for v in range(view_row[i], view_row[i + 1]):
-            if costs[v] > floor:
-                total += min(costs[v] - floor, excess[v])
-        gain[i] = total
-        if total > 0:
+    for i in range(len(view)):
+        v = view[i]
+        if n == 0 or useful[n - 1] != cell[v]:
+            useful[n], gain[n], view_row[n] = cell[v], 0, i
             n += 1
+        gain[n - 1] += min(cost[i] - floor, excess[v])
+    view_row[n] = len(view)
     return n
 
 
 @njit(cache=True)
-def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, weight, efficiency):
+def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, source, raw, weight, efficiency):
     """Fill for each set: weight (S,) f64 bytes by `weigh_quickly` for its bounding box, efficiency (S,) f64 gain a byte.
 
     A set that seems to need too many layers is out (infinite); with one cell it is looked at more patiently, so that no
     cell is lost.
+    raw  (S,9) as `raw_cells` fills it: then they are weighed instead; or (0,9)
     """
     room = ROOM * MAX_LAYERS
     axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((room, 2))
@@ -220,8 +296,13 @@ def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, weight, efficien
         total = 0.0
         for k in cells:
             total += gain[k]
-        wrap_box(cell_box, cells, cell)
-        weight[i] = weigh_quickly(len(cells) == 1, cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
+        if len(raw):
+            shaft = source[i, 0] >= 0
+            layers = lay_out_best(shaft, cluster, raw[i], delta, dl, axes, plane[:MAX_LAYERS], near, far, crop, frame)
+            weight[i] = TEXEL_BYTES * frame[TEXELS] + IMPOSTOR_BYTES + LAYER_BYTES * layers if layers > 0 else np.inf
+        else:
+            wrap_box(cell_box, cells, cell)
+            weight[i] = weigh_quickly(len(cells) == 1, cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
         efficiency[i] = total / weight[i]
 
 
@@ -243,14 +324,32 @@ def is_needed(cells, gain, efficiency, held, above, share, outdone):
 
 
 @njit(cache=True)
-def fit_best(cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coefficient, view_cell, points):
-    """Fit view cells to a set and lay the impostor out; write view_cell (9,) and return (kind, bytes, layers, cost).
+def fit_cell(kind, cluster, cell, delta, dl, screen, coefficient):
+    """Lay the impostor out for a view cell (9,); return (bytes, layers, cost), layers <= 0 if there is none.
 
-    The lighter of shaft and box, ties to the cheaper, then to the shaft; kind -1 if there is none.
     coefficient  (3,) cost of an impostor, of one of its triangles, of one of its pixels
     """
     axes, frame, crop = np.empty((3, 3)), np.empty(10), np.empty((MAX_LAYERS, 2))
     plane, near, far = np.empty(MAX_LAYERS), np.empty(MAX_LAYERS), np.empty(MAX_LAYERS)
+    layers = lay_out_best(kind == SHAFT, cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
+    if layers <= 0:
+        return 0, layers, np.int64(0)
+    weight = TEXEL_BYTES * int(frame[TEXELS]) + IMPOSTOR_BYTES + LAYER_BYTES * layers
+    pixels = 0.0
+    triangles = MAX_LAYER_TRIANGLES * layers
+    for k in range(layers):
+        unit = frame[TEXEL] * (plane[k] + frame[S])
+        triangles += cut_triangles(crop[k, 0], crop[k, 1])
+        pixels += rect_pixels(crop[k, 0] * unit, crop[k, 1] * unit, plane[k], screen)
+    return weight, layers, impostor_cost(triangles, pixels, coefficient[0], coefficient[1], coefficient[2])
+
+
+@njit(cache=True)
+def fit_best(cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coefficient, view_cell, points):
+    """Fit view cells to a set and lay the impostor out; write view_cell (9,) and return (kind, bytes, layers, cost).
+
+    The lighter of shaft and box, ties to the cheaper, then to the shaft; kind -1 if there is none.
+    """
     cell, apex = np.empty(9), np.empty(3)
     best_kind, best_bytes, best_layers, best_cost = -1, 0, 0, np.int64(0)
     for kind in range(2):
@@ -263,17 +362,9 @@ def fit_best(cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coeffic
             if not boxes:
                 continue
             wrap_box(cell_box, cells, cell)
-        layers = lay_out_best(kind == SHAFT, cluster, cell, delta, dl, axes, plane, near, far, crop, frame)
+        weight, layers, cost = fit_cell(kind, cluster, cell, delta, dl, screen, coefficient)
         if layers <= 0:
             continue
-        weight = TEXEL_BYTES * int(frame[TEXELS]) + IMPOSTOR_BYTES + LAYER_BYTES * layers
-        pixels = 0.0
-        triangles = MAX_LAYER_TRIANGLES * layers
-        for k in range(layers):
-            unit = frame[TEXEL] * (plane[k] + frame[S])
-            triangles += cut_triangles(crop[k, 0], crop[k, 1])
-            pixels += rect_pixels(crop[k, 0] * unit, crop[k, 1] * unit, plane[k], screen)
-        cost = impostor_cost(triangles, pixels, coefficient[0], coefficient[1], coefficient[2])
         if best_kind < 0 or weight < best_bytes or (weight == best_bytes and cost < best_cost):
             best_kind, best_bytes, best_layers, best_cost = kind, weight, layers, cost
             view_cell[:] = cell
@@ -322,9 +413,10 @@ def cells_inside(kind, view_cell, useful, cell_box, out):
 @njit(cache=True)
 def choose_sets(
     order, row, member, useful, gain, cell_box, cluster, shafts, boxes, delta, dl, screen, coefficient, costs, view_row,
-    weight, efficiency, above, share, outdone, points, inside, view_cell, number, served, reach,
+    weight, efficiency, above, share, outdone, points, source, raw, inside, view_cell, number, served, reach,
 ):  # fmt: skip
-    """Keep the sets that are needed, in `order`, fit them, and let them serve whatever their view cell holds.
+    """Keep the sets that are needed, in `order`, fit them (or take `raw`, see `weigh_sets`), and let them serve whatever
+    their view cell holds.
 
     Return how many. The outputs have a row for each:
     inside  (S,U) i64 its cells; view_cell (S,9); number (S,3) i64 kind, bytes, layers; served (S,3) i64 cost, cells, views
@@ -340,9 +432,14 @@ def choose_sets(
         cells = member[row[i] : row[i + 1]]
         if not is_needed(cells, gain, efficiency[i], held, above, share, outdone):
             continue
-        kind, size, layers, cost = fit_best(
-            cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coefficient, view_cell[count], points
-        )
+        if len(raw):
+            kind = SHAFT if source[i, 0] >= 0 else BOX
+            view_cell[count] = raw[i]
+            size, layers, cost = fit_cell(kind, cluster, raw[i], delta, dl, screen, coefficient)
+        else:
+            kind, size, layers, cost = fit_best(
+                cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coefficient, view_cell[count], points
+            )
         if kind < 0:
             continue
         m = cells_inside(kind, view_cell[count], useful, cell_box, inside[count])
