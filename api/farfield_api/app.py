@@ -11,9 +11,10 @@ from fastapi import FastAPI
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from farfield_api.errors import PROBLEM_SCHEMA, add_handlers
-from farfield_api.pages import SecurityHeaders, add_pages
+from farfield_api.headers import SecurityHeaders
+from farfield_api.pages import add_pages
 from farfield_api.queue import Queue
-from farfield_api.routes import health, jobs, placements, scenes, session
+from farfield_api.routes import devices, health, jobs, placements, scenes, session
 from farfield_api.settings import ApiSettings
 from farfield_api.state import State
 from farfield_api.streams import EventPoller
@@ -43,10 +44,10 @@ def make_app(settings: ApiSettings) -> FastAPI:
         openapi_url="/v1/openapi.json", max_body_size=MAX_JSON_BYTES,
     )  # fmt: skip
     app.state.farfield = state
-    app.add_middleware(SecurityHeaders)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(settings.hosts))
+    app.add_middleware(SecurityHeaders)  # the outer one: what the other refuses has the headers, too
     add_handlers(app)
-    for routes in (health, session, scenes, jobs, placements):
+    for routes in (health, session, scenes, jobs, placements, devices):
         app.include_router(routes.router)
     add_pages(app, settings.web)
     _describe(app)

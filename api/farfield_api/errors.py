@@ -14,6 +14,8 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
+from farfield_api.headers import HEADERS
+
 log = logging.getLogger(__name__)
 
 
@@ -67,8 +69,8 @@ class CursorInvalid(FarfieldError):
         super().__init__("the cursor is not one of ours")
 
 
-class SceneRefused(FailedElsewhere):
-    """The scene was refused by the process that read it, under the name that this gave."""
+class InputRefused(FailedElsewhere):
+    """What was sent was refused by the process that read it, under the name that this gave."""
 
 
 STATUS: dict[type[FarfieldError], int] = {
@@ -78,18 +80,22 @@ STATUS: dict[type[FarfieldError], int] = {
     UploadTooLarge: 413,
     UploadAltered: 422,
     CursorInvalid: 422,
-    SceneRefused: 422,
+    InputRefused: 422,
     errors.SceneError: 422,
     errors.SettingsInvalid: 422,
     errors.ImpostorError: 422,
     errors.PlacementFileError: 422,
+    errors.CalibrationError: 422,
     errors.OutsideViewSpace: 422,
     errors.SceneNotFound: 404,
     errors.JobNotFound: 404,
+    errors.DeviceNotFound: 404,
     errors.PlacementNotFound: 404,
     errors.JobNotFinished: 409,
     errors.JobStillRunning: 409,
+    errors.JobNotStopped: 409,
     errors.IdempotencyConflict: 409,
+    errors.DeviceExists: 409,
     errors.ServiceError: 503,
     FarfieldError: 500,
 }
@@ -152,4 +158,6 @@ def add_handlers(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def unexpected(request: Request, error: Exception) -> JSONResponse:
         log.exception("%s %s", request.method, request.url.path, exc_info=error)
-        return problem(500, "Unexpected", "the service failed", "Try again; tell the operator when it happened.")
+        answer = problem(500, "Unexpected", "the service failed", "Try again; tell the operator when it happened.")
+        answer.headers.update(HEADERS)  # this answer is made outside of all middleware
+        return answer

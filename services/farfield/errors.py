@@ -6,11 +6,14 @@
     ├── ImpostorError         outside the domain of the error metric                 exit 3, HTTP 422
     ├── PlacementFileError    a placement database file cannot be read               exit 3, HTTP 422
     │   └── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered, PlacementFileMissing
+    ├── CalibrationError      measured frames that no device profile can be fitted to exit 3, HTTP 422
+    │   └── SamplesInvalid, SamplesTooFew, SamplesDegenerate, DeviceNotCalibrated
     ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
     ├── DirectionInvalid      a view direction of length 0, or not finite            exit 2, HTTP 422
     ├── StoreError            a row or blob of the service
-    │   ├── SceneNotFound, JobNotFound, PlacementNotFound                        exit 3, HTTP 404
-    │   ├── JobNotFinished, JobStillRunning, IdempotencyConflict                 exit 3, HTTP 409
+    │   ├── SceneNotFound, JobNotFound, PlacementNotFound, DeviceNotFound        exit 3, HTTP 404
+    │   ├── JobNotFinished, JobStillRunning, JobNotStopped, IdempotencyConflict,
+    │   │   DeviceExists                                                      exit 3, HTTP 409
     │   └── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
     ├── ServiceError          the service cannot start, or does not answer       exit 3
     ├── FailedElsewhere       a named error of another process, passed on
@@ -153,6 +156,37 @@ class PlacementFileMissing(PlacementFileError):
         super().__init__(f"{where} is missing.")
 
 
+class CalibrationError(FarfieldError):
+    """Measured frames that no device profile can be fitted to."""
+
+
+class SamplesInvalid(CalibrationError):
+    """A sample lacks a number, or has one that nothing can measure."""
+
+    advice = "See docs/calibration.md for the columns: counts of what a frame drew, and the milliseconds that it took."
+
+
+class SamplesTooFew(CalibrationError):
+    """Fewer samples than a quantile needs."""
+
+    advice = "Measure more frames, from as many different views as possible."
+
+
+class SamplesDegenerate(CalibrationError):
+    """The samples do not tell the coefficients apart."""
+
+    advice = "Add samples as the message says; none of those that are there has to go."
+
+
+class DeviceNotCalibrated(CalibrationError):
+    """A device of the service that has no profile yet."""
+
+    advice = "Send samples: POST /v1/devices/{id}/samples. The answer says what is missing."
+
+    def __init__(self, name: str, why: str) -> None:
+        super().__init__(f"device {name!r} has no profile yet: {why}")
+
+
 class OutsideViewSpace(FarfieldError):
     """The camera position lies outside the view space of the placement."""
 
@@ -211,6 +245,30 @@ class JobStillRunning(StoreError):
     def __init__(self, job: str, state: str) -> None:
         super().__init__(f"job {job} is {state}")
         self.job, self.state = job, state
+
+
+class JobNotStopped(StoreError):
+    advice = "Only a job that failed or was cancelled can be retried."
+
+    def __init__(self, job: str, state: str) -> None:
+        super().__init__(f"job {job} is {state}")
+        self.job, self.state = job, state
+
+
+class DeviceNotFound(StoreError):
+    advice = "List the devices with GET /v1/devices."
+
+    def __init__(self, device: str) -> None:
+        super().__init__(f"there is no device {device}")
+        self.device = device
+
+
+class DeviceExists(StoreError):
+    advice = "Choose another name, or send samples to the device that has it."
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"there is a device {name!r} already")
+        self.name = name
 
 
 class IdempotencyConflict(StoreError):

@@ -1,7 +1,12 @@
 """Nobody gets in without a key, and nobody sees another tenant's things."""
 
+from dataclasses import replace
+
 import pytest
 from farfield.store import tenants
+from farfield_api.app import make_app
+from farfield_api.headers import HEADERS
+from starlette.testclient import TestClient
 
 
 def bearer(key):
@@ -24,9 +29,14 @@ ROUTES = [
     ("GET", f"/v1/jobs/{JOB}", None, "read"),
     ("DELETE", f"/v1/jobs/{JOB}", None, "submit"),
     ("POST", f"/v1/jobs/{JOB}/cancel", None, "submit"),
+    ("POST", f"/v1/jobs/{JOB}/retry", None, "submit"),
     ("GET", f"/v1/jobs/{JOB}/report", None, "read"),
     ("GET", f"/v1/jobs/{JOB}/events", None, "read"),
     ("GET", f"/v1/jobs/{JOB}/stages/scene/shards", None, "read"),
+    ("POST", "/v1/devices", {"name": "office"}, "submit"),
+    ("GET", "/v1/devices", None, "read"),
+    ("GET", f"/v1/devices/{JOB}", None, "read"),
+    ("POST", f"/v1/devices/{JOB}/samples", {"samples": []}, "submit"),
     ("GET", "/v1/placements", None, "read"),
     ("GET", "/v1/placements/town/manifest.json", None, "read"),
 ]
@@ -37,7 +47,13 @@ def test_every_route_is_in_the_table(service):
     described = service.client.get("/v1/openapi.json").json()
     assert described["openapi"].startswith("3.1")
     known = {
-        (m, p.replace(DIGEST, "{digest}").replace(JOB, "{job_id}").replace("/scene/", "/{stage}/"))
+        (
+            m,
+            p.replace(DIGEST, "{digest}")
+            .replace(f"devices/{JOB}", "devices/{device_id}")
+            .replace(JOB, "{job_id}")
+            .replace("/scene/", "/{stage}/"),
+        )
         for m, p, _, _ in ROUTES
     }
     known |= {("GET", "/livez"), ("GET", "/readyz"), ("POST", "/v1/session"), ("DELETE", "/v1/session")}
@@ -158,3 +174,22 @@ def test_pages_carry_a_policy_without_inline_script(service):
     assert service.client.get("/", follow_redirects=False).headers["location"] == "/jobs"
     assert service.client.get("/nothing").json()["code"] == "NotFound"
     assert service.client.get("/..%2f..%2fsecret.txt").status_code == 404
+
+
+def test_every_answer_has_the_security_headers(service, monkeypatch):
+    def broken(*arguments, **options):
+        raise RuntimeError("odd")
+
+    monkeypatch.setattr("farfield_api.routes.jobs.jobs.page", broken)
+    app = make_app(replace(service.settings, hosts=("127.0.0.1",)))
+    unexpecting = TestClient(
+        app, headers=bearer(service.key), raise_server_exceptions=False, base_url="http://127.0.0.1"
+    )
+    answers = {
+        200: unexpecting.get("/livez"), 404: unexpecting.get("/v1/jobs/none"), 500: unexpecting.get("/v1/jobs"),
+        400: unexpecting.get("/livez", headers={"host": "elsewhere.example"}),
+    }  # fmt: skip
+    for status, answer in answers.items():
+        assert answer.status_code == status
+        for header, value in HEADERS.items():
+            assert answer.headers.get_list(header) == [value]

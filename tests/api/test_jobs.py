@@ -231,3 +231,41 @@ def test_a_cancelled_stage_grows_no_older(service):
     service.client.post(f"/v1/jobs/{job}/cancel")
     first, second = (service.client.get(f"/v1/jobs/{job}").json()["stages"][0]["seconds"] for _ in "12")
     assert first == second
+
+
+@pytest.mark.parametrize("stage", ["scene", "viewspace"])
+def test_a_failed_job_that_is_retried_goes_on_from_what_is_done(service, worker, tmp_path, stage):
+    job = service.create(fail=stage, until=str(tmp_path / "mended"))
+    path = f"/v1/jobs/{job}"
+    assert service.client.post(f"{path}/retry").json()["code"] == "JobNotStopped"
+    worker()
+    failed = service.client.get(path).json()
+    assert (failed["state"], failed["error"]["stage"]) == ("failed", stage)
+    finished = {s["name"]: s["seconds"] for s in failed["stages"] if s["state"] in ("done", "skipped")}
+    (tmp_path / "mended").touch()
+    retried = service.client.post(f"{path}/retry")
+    assert (retried.status_code, retried.json()["state"], retried.json()["error"]) == (200, "queued", None)
+    assert service.client.post(f"{path}/retry").status_code == 409
+    worker()
+    done = service.client.get(path).json()
+    assert (done["state"], done["verdict"]) == ("done", "valid")
+    assert finished.items() <= {s["name"]: s["seconds"] for s in done["stages"]}.items()
+    fresh = service.create()
+    worker()
+    manifests = [service.client.get(f"/v1/placements/{j}/manifest.json").json() for j in (job, fresh)]
+    assert manifests[0].keys() == manifests[1].keys()
+    assert service.client.post(f"{path}/retry").json()["code"] == "JobNotStopped"
+
+
+def test_a_cancelled_job_can_be_retried_and_an_old_worker_commits_nothing(service, worker):
+    from farfield.store import progress, shards
+
+    job = service.create()
+    (first,) = progress.undelivered(service.engine, resend_s=-1.0)
+    old = shards.claim(service.engine, first.shard_id, worker="old")
+    service.client.post(f"/v1/jobs/{job}/cancel")
+    assert service.client.post(f"/v1/jobs/{job}/retry").json()["state"] == "queued"
+    assert not shards.renew(service.engine, old)
+    assert not shards.commit(service.engine, old, digest="0" * 64, n_bytes=1, key=None, seconds=0.1, peak_bytes=1)
+    worker()
+    assert service.client.get(f"/v1/jobs/{job}").json()["verdict"] == "valid"

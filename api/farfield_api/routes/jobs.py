@@ -1,4 +1,4 @@
-"""Jobs: created once for an idempotency key, listed in pages, watched, cancelled, deleted."""
+"""Jobs: created once for an idempotency key, listed in pages, watched, cancelled, retried, deleted."""
 
 import base64
 import json
@@ -18,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 
 from farfield_api.auth import Reader, Submitter
 from farfield_api.errors import RESPONSES, CursorInvalid
+from farfield_api.routes.devices import with_device
 from farfield_api.routes.placements import unpacked_folder
 from farfield_api.state import Service, State
 from farfield_api.times import iso
@@ -41,10 +42,11 @@ def create(
     wanted: JobRequest, response: Response, caller: Submitter, service: Service,
     idempotency_key: Annotated[str | None, Header(max_length=255)] = None,
 ) -> dict[str, Any]:  # fmt: skip
+    settings, device_id = with_device(service.engine, caller.tenant_id, wanted.settings)
     name = wanted.name or scenes.get(service.engine, caller.tenant_id, wanted.scene).name
     job_id, message = jobs.create(
         service.engine, caller.tenant_id, name=name, scene_digest=wanted.scene,
-        settings=to_mapping(wanted.settings), stages=list(Stage), idempotency_key=idempotency_key,
+        settings=to_mapping(settings), stages=list(Stage), idempotency_key=idempotency_key, device_profile_id=device_id,
     )  # fmt: skip
     if message is None:
         response.status_code = 200
@@ -81,6 +83,13 @@ def shards(job_id: str, stage: Stage, caller: Reader, service: Service) -> dict[
 @router.post("/{job_id}/cancel", summary="Stop it; what is done stays")
 def cancel(job_id: str, caller: Submitter, service: Service) -> dict[str, Any]:
     jobs.cancel(service.engine, caller.tenant_id, job_id)
+    return _shown(service, caller.tenant_id, job_id)
+
+
+@router.post("/{job_id}/retry", summary="Let a failed or cancelled job go on from what is done")
+def retry(job_id: str, caller: Submitter, service: Service) -> dict[str, Any]:
+    for message in jobs.retry(service.engine, caller.tenant_id, job_id):
+        service.queue.send(message)
     return _shown(service, caller.tenant_id, job_id)
 
 

@@ -1,4 +1,4 @@
-"""Jobs of a tenant: created, listed, read, cancelled, deleted."""
+"""Jobs of a tenant: created, listed, read, cancelled, retried, deleted."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from farfield.errors import IdempotencyConflict, JobNotFound, JobStillRunning, SceneNotFound
+from farfield.errors import IdempotencyConflict, JobNotFound, JobNotStopped, JobStillRunning, SceneNotFound
 from farfield.stages import Queue
 from farfield.store import events
 from farfield.store.engine import new_id, now, read, write
@@ -20,7 +20,7 @@ ENDED = ("done", "failed", "cancelled")
 
 def create(
     engine: sa.Engine, tenant_id: str, *, name: str, scene_digest: str, settings: dict[str, Any],
-    stages: Sequence[str], idempotency_key: str | None,
+    stages: Sequence[str], idempotency_key: str | None, device_profile_id: str | None = None,
 ) -> tuple[str, Message | None]:  # fmt: skip
     """Return (job id, message for its first shard); no message where the idempotency key is known.
 
@@ -48,8 +48,8 @@ def create(
         tx.execute(
             sa.insert(job).values(
                 id=job_id, tenant_id=tenant_id, name=name, scene_digest=scene_digest, settings=settings,
-                idempotency_key=idempotency_key, request_digest=request_digest, state="queued", event_seq=0,
-                optimizer_token=0, created_at=now(),
+                device_profile_id=device_profile_id, idempotency_key=idempotency_key,
+                request_digest=request_digest, state="queued", event_seq=0, optimizer_token=0, created_at=now(),
             )
         )  # fmt: skip
         rows = [
@@ -153,6 +153,45 @@ def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
         drop_shards(tx, job_id)
         events.append(tx, job_id, "job", {"state": "cancelled"})
         return "cancelled"
+
+
+def retry(engine: sa.Engine, tenant_id: str, job_id: str) -> list[Message]:
+    """Let a failed or cancelled job go on from what is done; return the messages for its shards.
+
+    Shards that failed or were cancelled begin anew, as new rows: a worker that still computes an old one commits to
+    nothing. Raises JobNotFound, JobNotStopped.
+    """
+    with write(engine) as tx:
+        lock_job(tx, job_id)
+        row = _row(tx, tenant_id, job_id)
+        if row.state not in ("failed", "cancelled"):
+            raise JobNotStopped(job_id, row.state)
+        undone = (shard.c.job_id == job_id) & shard.c.state.in_(("failed", "cancelled"))
+        kept = ("tenant_id", "job_id", "stage_id", "kind", "ordinal", "queue", "params")
+        rows = [
+            {**{key: getattr(r, key) for key in kept}, "id": new_id(), "state": "ready", "attempt": 0, "cached": False}
+            for r in tx.execute(sa.select(shard).where(undone).order_by(shard.c.kind, shard.c.ordinal)).all()
+        ]
+        tx.execute(sa.delete(shard).where(undone))
+        if rows:
+            tx.execute(sa.insert(shard), rows)
+        for at in tx.execute(sa.select(stage).where(stage.c.job_id == job_id).order_by(stage.c.ordinal)).all():
+            kinds = set(tx.scalars(sa.select(shard.c.kind).where(shard.c.stage_id == at.id)))
+            open_ = at.state not in ("done", "skipped", "waiting")
+            # A stage that failed is where its latest shards are; an optional one that failed has been gone on from.
+            if open_ and (at.state != "failed" or any(r["stage_id"] == at.id for r in rows)):
+                state = next(name for kind, name in _AT if kind in kinds)
+                tx.execute(sa.update(stage).where(stage.c.id == at.id).values(state=state, finished_at=None))
+                events.append(tx, job_id, "stage", {"stage": at.name, "state": state})
+        tx.execute(
+            sa.update(job).where(job.c.id == job_id)
+            .values(state="queued", error=None, finished_at=None, optimizer_until=None, optimizer_shard_id=None)
+        )  # fmt: skip
+        events.append(tx, job_id, "job", {"state": "queued"})
+    return [Message(r["id"], r["queue"]) for r in rows]
+
+
+_AT = (("report", "reporting"), ("merge", "merging"), ("run", "running"), ("plan", "planning"))
 
 
 def delete(

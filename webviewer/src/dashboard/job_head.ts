@@ -19,7 +19,7 @@ export async function readHistories(except: string): Promise<History[]> {
   return found;
 }
 
-export function drawHead(head: HTMLElement, job: JobDetail, report: Report | null, found: Estimate, cancel: () => void): void {
+export function drawHead(head: HTMLElement, job: JobDetail, report: Report | null, found: Estimate, does: { cancel: () => void; retry: () => void }): void {
   if (!head.childElementCount) {
     head.className = "head";
     head.append(h("div"), h("div", { class: "acts" }), h("div", { class: "tobe" }, h("div"), h("p"), h("div")));
@@ -33,8 +33,9 @@ export function drawHead(head: HTMLElement, job: JobDetail, report: Report | nul
   refill(acts, job.state, () => [
     job.links.viewer ? h("a", { class: "btn primary", href: job.links.viewer }, "Open in viewer") : null,
     job.links.report_page ? h("a", { class: "btn", href: job.links.report_page }, "Report") : null,
+    job.state === "failed" || job.state === "cancelled" ? h("button", { class: "btn primary", type: "button", onclick: does.retry }, "Go on") : null,
     active ? null : h("a", { class: "btn", href: again(job.id) }, "Run again…"),
-    active ? h("button", { class: "btn stop", type: "button", onclick: cancel }, "Cancel job…") : null]);
+    active ? h("button", { class: "btn stop", type: "button", onclick: does.cancel }, "Cancel job…") : null]);
   const { kind, mark, text } = verdictOf(job, report);
   banner.className = `tobe ${kind}`;
   refill(banner.children[0], JSON.stringify([job.state, job.verdict]), () => [mark()]);
@@ -68,7 +69,7 @@ function verdictOf(job: JobDetail, report: Report | null): Told {
     const where = error.stage ? `${error.stage} failed` : "failed";
     return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(sentences(error.message ?? "The job failed")), " ", sentences(error.advice, "What was computed before is kept")] };
   }
-  if (job.state === "cancelled") return { kind: "", mark: () => stateMark("idle", "cancel", "Cancelled"), text: () => ["What was computed is kept; a new job with the same scene and settings goes on from there."] };
+  if (job.state === "cancelled") return { kind: "", mark: () => stateMark("idle", "cancel", "Cancelled"), text: () => ["What was computed is kept: “Go on” continues from there."] };
   if (job.verdict === null) {
     const text = job.state === "queued" ? "The job waits for a worker." : "Whether every view can meet the budget is known once the placement has been evaluated.";
     return { kind: "", mark: () => stateMark("idle", "queue", "Verdict open"), text: () => [text] };

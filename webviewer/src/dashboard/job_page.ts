@@ -1,5 +1,5 @@
 /** /jobs/ID: where a job stands, live; once it is done its verdict, map and hopeless views. */
-import { cancelJob, explain, findScene, readEvents, readJob, readObjects, readReport, readShards } from "../api/client";
+import { cancelJob, explain, findScene, readEvents, readJob, readObjects, readReport, readShards, retryJob } from "../api/client";
 import { EventStream, type Line } from "../api/event_stream";
 import type { JobDetail, JobEvent } from "../api/types";
 import { estimate, Ratchet, type History } from "./estimate";
@@ -49,7 +49,7 @@ async function start(): Promise<void> {
   const draw = (): void => {
     const stages = ended() ? job.stages : grown(job.stages, readAtMs);
     const found = estimate(stages, histories);
-    drawHead(head, job, report, { ...found, fraction: ratchet.at(id, found.fraction) }, () => void cancel());
+    drawHead(head, job, report, { ...found, fraction: ratchet.at(id, found.fraction) }, { cancel: () => void cancel(), retry: () => void retry() });
     strip.show(stages);
   };
 
@@ -60,6 +60,15 @@ async function start(): Promise<void> {
       take(await cancelJob(id));
     } catch (error) {
       says.replaceChildren(note("bad", "fail", "Not cancelled", explain(error).text));
+    }
+  }
+
+  async function retry(): Promise<void> {
+    try {
+      await retryJob(id);
+      location.reload(); // its stream had ended: begin as with a new job
+    } catch (error) {
+      says.replaceChildren(note("bad", "fail", "Not started again", explain(error).text));
     }
   }
 
