@@ -19,7 +19,7 @@ After    Jeschke et al., I3D 2005, section 4. Changed: placement.md section 6.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ from farfield.viewspace.model import ProblemViews
 SHARDS = 32  # about as many
 STEP_DEG = 11.25  # between directions of raw shafts
 ENTRIES = 48_000_000  # aimed at: candidates x problem views (docs/decisions/0010-which-candidates.md)
-BLOCK_BYTES = 64 << 20  # of the table cluster x problem view that is held at once
+BLOCK_PAIRS = 4_000_000  # of a cluster and a problem view that are held at once, 12 bytes each
 UNFIT = 1 << 62  # bytes and cost of what cannot be fitted
 
 
@@ -80,7 +80,6 @@ class _Work:
     cell_box: np.ndarray
     keys: np.ndarray
     directions: np.ndarray
-    view_row: np.ndarray  # (L+1,) problem views of each cell
     excess: np.ndarray  # (V,)
     share: float
     outdone: float
@@ -113,7 +112,6 @@ def _prepare(
         shafts=wanted != "boxes", boxes=wanted != "shafts", raw=settings.placement.view_cells == "raw",
         cell_box=np.ascontiguousarray(cells.cell_box),
         keys=kernels.cell_keys(cells.n_cells), directions=directions(),
-        view_row=np.searchsorted(views.cell, np.arange(cells.n_cells + 1)).astype(np.int64),
         excess=views.cost - model.target,
     )  # fmt: skip
 
@@ -128,66 +126,117 @@ def generate(
 ) -> Candidates:  # fmt: skip
     """Return the candidates of the clusters [a, b) = nodes. `views` must hold all problem views, sorted by cell."""
     work = _prepare(hierarchy, model, cells, views, settings)
-    d = len(work.directions)
-    most_sets = len(cells.axis) + d * len(kernels.ANGLES_DEG) * kernels.DISTANCES
-    slots = 1 << (2 * most_sets - 1).bit_length()
-    bucket = np.zeros((d, len(kernels.ANGLES_DEG), kernels.DISTANCES, 2), dtype=np.uint64)
-    bucket_count = np.zeros(bucket.shape[:3], dtype=np.int32)
-    table_key, table_id = np.zeros((slots, 2), dtype=np.uint64), np.full(slots, -1, dtype=np.int64)
-    source = np.zeros((most_sets, 4), dtype=np.int64)
-    points = np.empty((8 * cells.n_cells, 3))
+    scratch = _Scratch(work, cells)
     rows = _Rows()
-
-    reach: dict[int, np.ndarray] = {}
-    block = max(1, BLOCK_BYTES // (8 * max(1, len(views.cell))))
-    for first in range(nodes[0], nodes[1], block):
-        part = np.arange(first, min(first + block, nodes[1]))
-        costs = np.empty((len(part), len(views.cell)), dtype=np.int64)
-        kernels.cluster_costs(runs_of(views), hierarchy.start[part], hierarchy.stop[part], costs)
-        for k, c in enumerate(part.tolist()):
-            # efficiency of the clusters around this one, as far as this shard knows them
-            above = reach.get(int(hierarchy.parent[c]), np.zeros(cells.n_cells))
-            reach[c] = above
-            gain = np.zeros(cells.n_cells, dtype=np.int64)
-            if not hierarchy.replaceable[c] or not kernels.cell_gains(
-                costs[k], work.excess, work.view_row, work.floor, gain
-            ):
+    around: list[tuple[int, np.ndarray, np.ndarray]] = []  # of the clusters around this one: stop, cells, efficiency
+    for first, row, view, cost in _pairs(hierarchy, views, work, nodes):
+        for k in range(len(row) - 1):
+            c, pairs = first + k, slice(row[k], row[k + 1])
+            if row[k] == row[k + 1]:
                 continue
-            useful = np.flatnonzero(gain)
-            box = np.ascontiguousarray(hierarchy.box[c])
-            size = float(np.sqrt(((box[1] - box[0]) ** 2).sum()))
-            hold = np.empty((d, len(useful)), dtype=np.uint8)
-            n = kernels.find_sets(
-                (box[0] + box[1]) / 2, size, useful, work.cell_box, work.keys, work.directions, cells.start,
-                cells.stop, work.shafts, work.boxes, bucket, bucket_count, hold, table_key, table_id, source,
-            )  # fmt: skip
-            row, member = np.empty(n + 1, dtype=np.int64), np.empty(source[:n, 3].sum(), dtype=np.int64)
-            kernels.list_members(n, source, useful, hold, cells.start, cells.stop, row, member)
-            weight, efficiency = np.empty(n), np.empty(n)
-            raw = np.empty((n if work.raw else 0, 9))
-            if work.raw:
-                kernels.raw_cells(
-                    n, source, (box[0] + box[1]) / 2, size, work.directions, work.cell_box, cells.start, cells.stop, raw
-                )  # fmt: skip
-            kernels.weigh_sets(
-                row, member, gain, work.cell_box, box, work.delta, work.dl, source, raw, weight, efficiency
-            )  # fmt: skip
-            order = np.argsort(-efficiency, kind="stable")
-            inside, view_cell = np.empty((n, len(useful)), dtype=np.int64), np.zeros((n, 9))
-            number, served = np.empty((n, 3), np.int64), np.empty((n, 3), np.int64)
-            reach[c] = np.empty(cells.n_cells)
-            count = kernels.choose_sets(
-                order, row, member, useful, gain, work.cell_box, box, work.shafts, work.boxes, work.delta, work.dl,
-                work.screen, work.coefficient, costs[k], work.view_row, weight, efficiency, above, work.share,
-                work.outdone, points, source, raw, inside, view_cell, number, served, reach[c],
-            )  # fmt: skip
-            for i in rows.start(c, count, view_cell, number, served):
-                view, saved = np.empty(served[i, 2], dtype=np.int32), np.empty(served[i, 2], dtype=np.int64)
-                of = inside[i, : served[i, 1]]
-                kernels.list_served(costs[k], work.view_row, of, served[i, 0], view, saved)
-                rows.view.append(view)
-                rows.saved.append(saved)
+            given = _Given(np.ascontiguousarray(hierarchy.box[c]), view[pairs], cost[pairs], views.cell, work)
+            while around and around[-1][0] <= hierarchy.start[c]:
+                around.pop()
+            above = np.zeros(len(given.useful))
+            if around:
+                _, known, efficiency = around[-1]
+                above = efficiency[np.searchsorted(known, given.useful)]
+            if hierarchy.replaceable[c]:
+                above = _generate_one(c, given, above, work, scratch, cells, rows)
+            around.append((int(hierarchy.stop[c]), given.useful, above))
     return rows.build()
+
+
+def _pairs(
+    hierarchy: Hierarchy, views: ProblemViews, work: _Work, nodes: tuple[int, int]
+) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield (first cluster, row, view, cost) for blocks of clusters: what each costs where that is above the floor."""
+    tree = hierarchy.start, hierarchy.stop, hierarchy.left, hierarchy.right
+    none = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int64)
+    count = np.zeros(nodes[1] - nodes[0], dtype=np.int64)
+    kernels.list_pairs(runs_of(views), *tree, nodes, work.floor, count, *none)
+    through = np.concatenate([[0], np.cumsum(count)])
+    first = 0
+    while first < len(count):
+        last = max(first + 1, int(np.searchsorted(through, through[first] + BLOCK_PAIRS, side="right")) - 1)
+        row = through[first : last + 1] - through[first]
+        view, cost = np.empty(row[-1], dtype=np.int32), np.empty(row[-1], dtype=np.int64)
+        if row[-1]:
+            some = nodes[0] + first, nodes[0] + last
+            kernels.list_pairs(
+                runs_of(views), *tree, some, work.floor, np.empty(last - first, np.int64), row, view, cost
+            )
+        yield nodes[0] + first, row, view, cost
+        first = last
+
+
+class _Given:
+    """A cluster, and the cells from which it costs more than the cheapest impostor. Elsewhere cells are places in
+    `useful`."""
+
+    def __init__(self, box: np.ndarray, view: np.ndarray, cost: np.ndarray, cell: np.ndarray, work: _Work) -> None:
+        useful, view_row = np.empty(len(view), dtype=np.int64), np.empty(len(view) + 1, dtype=np.int64)
+        gain = np.empty(len(view), dtype=np.int64)
+        n = kernels.cell_gains(view, cost, cell, work.excess, work.floor, useful, view_row, gain)
+        self.box, self.view, self.cost = box, view, cost
+        self.useful, self.view_row, self.gain = useful[:n], view_row[: n + 1], gain[:n]
+        self.cell_box, self.keys = work.cell_box[self.useful], work.keys[self.useful]
+
+
+class _Scratch:
+    """Arrays that every cluster of a shard uses anew."""
+
+    def __init__(self, work: _Work, cells: CellTree) -> None:
+        d = len(work.directions)
+        most_sets = len(cells.axis) + d * len(kernels.ANGLES_DEG) * kernels.DISTANCES
+        slots = 1 << (2 * most_sets - 1).bit_length()
+        self.bucket = np.zeros((d, len(kernels.ANGLES_DEG), kernels.DISTANCES, 2), dtype=np.uint64)
+        self.bucket_count = np.zeros(self.bucket.shape[:3], dtype=np.int32)
+        self.table_key, self.table_id = np.zeros((slots, 2), dtype=np.uint64), np.full(slots, -1, dtype=np.int64)
+        self.slot_of = np.empty(most_sets, dtype=np.int64)
+        self.source = np.zeros((most_sets, 4), dtype=np.int64)
+        self.points = np.empty((8 * cells.n_cells, 3))
+
+
+def _generate_one(
+    cluster: int, given: _Given, above: np.ndarray, work: _Work, scratch: _Scratch, cells: CellTree, rows: "_Rows"
+) -> np.ndarray:
+    """Add the candidates of one cluster; return (U,) f64, what it and the clusters around it reach in its cells."""
+    box, useful = given.box, given.useful
+    middle, size = (box[0] + box[1]) / 2, float(np.sqrt(((box[1] - box[0]) ** 2).sum()))
+    hold = np.empty((len(work.directions), len(useful)), dtype=np.uint8)
+    n = kernels.find_sets(
+        middle, size, useful, given.cell_box, given.keys, work.directions, cells.start, cells.low, cells.high,
+        work.shafts, work.boxes, scratch.bucket, scratch.bucket_count, hold, scratch.table_key, scratch.table_id,
+        scratch.slot_of, scratch.source,
+    )  # fmt: skip
+    source = scratch.source[:n]
+    row, member = np.empty(n + 1, dtype=np.int64), np.empty(source[:, 3].sum(), dtype=np.int32)
+    kernels.list_members(n, source, useful, hold, cells.start, cells.stop, row, member)
+    weight, efficiency = np.empty(n), np.empty(n)
+    raw = np.empty((n if work.raw else 0, 9))
+    if work.raw:
+        kernels.raw_cells(source, middle, size, work.directions, cells.box, raw)
+    kernels.weigh_sets(
+        row, member, given.gain, given.cell_box, box, work.delta, work.dl, source, raw, weight, efficiency
+    )  # fmt: skip
+    order = np.argsort(-efficiency, kind="stable")
+    inside, view_cell = np.empty((n, len(useful)), dtype=np.int32), np.zeros((n, 9))
+    number, served = np.empty((n, 3), np.int64), np.empty((n, 3), np.int64)
+    reach = np.empty(len(useful))
+    count = kernels.choose_sets(
+        order, row, member, given.gain, given.cell_box, box, work.shafts, work.boxes, work.delta, work.dl,
+        work.screen, work.coefficient, given.cost, given.view_row, weight, efficiency, above, work.share,
+        work.outdone, scratch.points, source, raw, inside, view_cell, number, served, reach,
+    )  # fmt: skip
+    for i in rows.start(cluster, count, view_cell, number, served):
+        view, saved = np.empty(served[i, 2], dtype=np.int32), np.empty(served[i, 2], dtype=np.int64)
+        kernels.list_served(
+            given.view, given.cost, given.view_row, inside[i, : served[i, 1]], served[i, 0], view, saved
+        )
+        rows.view.append(view)
+        rows.saved.append(saved)
+    return reach
 
 
 class _Rows:

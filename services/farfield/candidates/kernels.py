@@ -280,6 +280,23 @@ def cell_gains(view, cost, cell, excess, floor, useful, view_row, gain):
 
 
 @njit(cache=True)
+def raw_cells(source, apex, size, directions, tree_box, raw):
+    """Fill raw (S,9): the view cells of the sets of `find_sets` as they were generated.
+
+    tree_box  (K,2,3) boxes of the view-space tree's nodes
+    """
+    for i in range(len(source)):
+        d, angle, distance = source[i, 0], source[i, 1], source[i, 2]
+        for k in range(3):
+            if d < 0:
+                raw[i, k], raw[i, 3 + k], raw[i, 6 + k] = tree_box[angle, 0, k], tree_box[angle, 1, k], 0.0
+            else:
+                raw[i, k], raw[i, 3 + k] = apex[k], directions[d, k]
+        if d >= 0:
+            raw[i, 6], raw[i, 7], raw[i, 8] = _HALF_SIN[angle] / _HALF_COS[angle], size * 2.0**distance, np.inf
+
+
+@njit(cache=True)
 def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, source, raw, weight, efficiency):
     """Fill for each set: weight (S,) f64 bytes by `weigh_quickly` for its bounding box, efficiency (S,) f64 gain a byte.
 
@@ -310,8 +327,8 @@ def weigh_sets(row, member, gain, cell_box, cluster, delta, dl, source, raw, wei
 def is_needed(cells, gain, efficiency, held, above, share, outdone):
     """Return whether a set is worth a candidate beside those kept so far, all of which are at least as efficient.
 
-    held   (L,) b1, cells of the sets kept so far
-    above  (L,) efficiency of the best set of a larger cluster that holds each cell
+    held   (U,) b1, cells of the sets kept so far
+    above  (U,) efficiency of the best set of a larger cluster that holds each cell
     It is if `share` of its gain lies in cells that no set holds yet, and that no larger cluster serves `outdone` times as
     efficiently.
     """
@@ -373,31 +390,31 @@ def fit_best(cluster, cell_box, cells, shafts, boxes, delta, dl, screen, coeffic
 
 @njit(cache=True)
 def count_served(costs, view_row, cells, cost):
-    """Return the number of problem views of the cells in which the cluster costs more than `cost`."""
+    """Return the number of pairs of the cells in which the cluster costs more than `cost`."""
     n = 0
     for i in cells:
-        for v in range(view_row[i], view_row[i + 1]):
-            if costs[v] > cost:
+        for k in range(view_row[i], view_row[i + 1]):
+            if costs[k] > cost:
                 n += 1
     return n
 
 
 @njit(cache=True)
-def list_served(costs, view_row, cells, cost, view, saved):
-    """Write those views, ascending where cells are, and what is saved in each."""
+def list_served(views, costs, view_row, cells, cost, view, saved):
+    """Write the views of those pairs, ascending where cells are, and what is saved in each."""
     n = 0
     for i in cells:
-        for v in range(view_row[i], view_row[i + 1]):
-            if costs[v] > cost:
-                view[n], saved[n] = v, costs[v] - cost
+        for k in range(view_row[i], view_row[i + 1]):
+            if costs[k] > cost:
+                view[n], saved[n] = views[k], costs[k] - cost
                 n += 1
 
 
 @njit(cache=True)
-def cells_inside(kind, view_cell, useful, cell_box, out):
-    """Write those of the useful cells that lie in a view cell, ascending; return how many."""
+def cells_inside(kind, view_cell, cell_box, out):
+    """Write those of the cells that lie in a view cell, ascending; return how many."""
     n = 0
-    for i in useful:
+    for i in range(len(cell_box)):
         inside = True
         if kind == SHAFT:
             inside = shaft_holds(view_cell, cell_box[i])
@@ -412,15 +429,15 @@ def cells_inside(kind, view_cell, useful, cell_box, out):
 
 @njit(cache=True)
 def choose_sets(
-    order, row, member, useful, gain, cell_box, cluster, shafts, boxes, delta, dl, screen, coefficient, costs, view_row,
+    order, row, member, gain, cell_box, cluster, shafts, boxes, delta, dl, screen, coefficient, costs, view_row,
     weight, efficiency, above, share, outdone, points, source, raw, inside, view_cell, number, served, reach,
 ):  # fmt: skip
     """Keep the sets that are needed, in `order`, fit them (or take `raw`, see `weigh_sets`), and let them serve whatever
     their view cell holds.
 
     Return how many. The outputs have a row for each:
-    inside  (S,U) i64 its cells; view_cell (S,9); number (S,3) i64 kind, bytes, layers; served (S,3) i64 cost, cells, views
-    reach   (L,) out: the greater of `above` and the efficiency of the best kept set that holds each cell
+    inside  (S,U) i32 its cells; view_cell (S,9); number (S,3) i64 kind, bytes, layers; served (S,3) i64 cost, cells, views
+    reach   (U,) out: the greater of `above` and the efficiency of the best kept set that holds each cell
     No two have the same view cell: the second would find all its cells held.
     """
     held = np.zeros(len(above), dtype=np.bool_)
@@ -442,7 +459,7 @@ def choose_sets(
             )
         if kind < 0:
             continue
-        m = cells_inside(kind, view_cell[count], useful, cell_box, inside[count])
+        m = cells_inside(kind, view_cell[count], cell_box, inside[count])
         views = count_served(costs, view_row, inside[count, :m], cost)
         if views == 0:
             continue

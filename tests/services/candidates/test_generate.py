@@ -110,7 +110,7 @@ def test_shards_and_blocks_do_not_show(monkeypatch):
     assert shards[0][0] == 0
     assert shards[-1][1] == len(given[1].start)
     whole = merge([generate(*given[:4], given[4], settings=settings, nodes=s) for s in shards])
-    monkeypatch.setattr("farfield.candidates.generate.BLOCK_BYTES", 1)
+    monkeypatch.setattr("farfield.candidates.generate.BLOCK_PAIRS", 1)
     again = merge([generate(*given[:4], given[4], settings=settings, nodes=s) for s in shards])
     assert pack_dataclass(whole) == pack_dataclass(again)
 
