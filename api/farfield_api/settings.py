@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 INSPECT = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
+CALIBRATE = (sys.executable, "-m", "farfield.cli.main", "calibrate", "--json")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +28,7 @@ class ApiSettings:
     inspect_memory_bytes: int = 8 << 30
     inspect_seconds: int = 300
     inspect_command: tuple[str, ...] = INSPECT  # prints what it reads of the file named last, as JSON
+    calibrate_command: tuple[str, ...] = CALIBRATE  # prints the profile of the samples in the file named last, as JSON
     session_s: int = 12 * 3600
     poll_s: float = 0.25  # how often the streams look for new events
 
@@ -46,5 +48,6 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
         max_scene_bytes=int(environment.get("FARFIELD_MAX_SCENE_BYTES", 4 << 30)),
         inspect_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
         inspect_command=tuple(shlex.split(environment.get("FARFIELD_INSPECT", ""))) or INSPECT,
+        calibrate_command=tuple(shlex.split(environment.get("FARFIELD_CALIBRATE", ""))) or CALIBRATE,
         inspect_seconds=int(environment.get("FARFIELD_INSPECT_SECONDS", 300)),
     )

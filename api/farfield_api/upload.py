@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import suppress
 from email.message import Message
 from pathlib import Path
@@ -19,12 +19,12 @@ from fastapi import Request
 from python_multipart.multipart import MultipartParser
 from starlette.concurrency import run_in_threadpool
 
-from farfield_api.errors import SceneRefused, UploadAltered, UploadTooLarge
+from farfield_api.errors import InputRefused, UploadAltered, UploadTooLarge
 from farfield_api.settings import ApiSettings
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".zip")
 WRITE_BYTES = 1 << 20
-_reading = asyncio.Semaphore(2)  # processes that read a scene at the same time
+_reading = asyncio.Semaphore(2)  # processes that read at the same time
 
 
 class Received:
@@ -83,11 +83,12 @@ def suffix_of(received: Received) -> str:
     raise SceneUnreadable(f"{received.name or 'the upload'} is none of {', '.join(SUFFIXES)}")
 
 
-async def inspect(path: Path, shown: str, settings: ApiSettings) -> dict[str, Any]:
-    """Return what `farfield inspect` says of the file. Raises SceneRefused with its error's name, SceneOverLimit."""
+async def read_apart(reader: Sequence[str], path: Path, shown: str, settings: ApiSettings) -> dict[str, Any]:
+    """Return what the command `reader` says of the file, as JSON. Raises InputRefused with its error's name,
+    SceneOverLimit.
+    """
     limits = [str(settings.inspect_memory_bytes), str(settings.inspect_seconds)]
-    python = settings.inspect_command[0]
-    command = [python, "-m", "farfield_api.limited", *limits, *settings.inspect_command, str(path)]
+    command = [reader[0], "-m", "farfield_api.limited", *limits, *reader, str(path)]
     async with _reading:
         child = await asyncio.create_subprocess_exec(
             *command, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
@@ -114,7 +115,7 @@ def _refusal(text: str, path: Path, shown: str) -> FarfieldError:
         match = re.fullmatch(r"(\w+): (.+)", line)
         known = getattr(errors, match[1], None) if match else None
         if match and isinstance(known, type) and issubclass(known, FarfieldError):
-            return SceneRefused(match[1], match[2], known.advice or "\n".join(lines[i + 1 :]))
+            return InputRefused(match[1], match[2], known.advice or "\n".join(lines[i + 1 :]))
     if "MemoryError" in text or not text.strip():
         return SceneOverLimit(f"reading {shown} needs more memory or time than is allowed")
     return SceneUnreadable(f"{shown} cannot be read")

@@ -72,6 +72,14 @@ def test_the_answer_types_are_what_the_api_answers(service, worker, interfaces):
             _hold(interfaces, "EventData", event["data"])
 
 
+def test_the_device_types_are_what_the_api_answers(service, interfaces):
+    made = service.client.post("/v1/devices", json={"name": "office"}).json()
+    _hold(interfaces, "Device", made)
+    page = service.client.get("/v1/devices").json()
+    _hold(interfaces, "DevicePage", page)
+    _hold(interfaces, "Device", page["devices"][0])
+
+
 def test_the_scene_type_is_what_inspect_says(interfaces):
     from farfield.scene.derive import Suggestion
     from farfield.scene.describe import describe

@@ -48,7 +48,8 @@ async def send(request: Request, response: Response, caller: Submitter, service:
         named = received.path.with_name(received.path.name + suffix)
         received.path.rename(named)
         received.path = named
-        found = await upload.inspect(named, received.name or f"scene{suffix}", service.settings)
+        shown = received.name or f"scene{suffix}"
+        found = await upload.read_apart(service.settings.inspect_command, named, shown, service.settings)
         row = await run_in_threadpool(_accept, service, caller.tenant_id, received, suffix, found)
         response.headers["location"] = f"/v1/scenes/{received.digest}"
         return _shown(row)

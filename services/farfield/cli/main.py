@@ -12,7 +12,21 @@ from collections.abc import Sequence
 
 from farfield.errors import FarfieldError, SettingsInvalid, StageFailed
 
-VERBS = ("place", "inspect", "layers", "verify", "report", "serve", "submit")
+VERBS = (
+    "place",
+    "inspect",
+    "layers",
+    "calibrate",
+    "verify",
+    "report",
+    "serve",
+    "submit",
+    "jobs",
+    "logs",
+    "fetch",
+    "cancel",
+    "retry",
+)
 DONE, FAILED, BAD_USE, BAD_INPUT, NOT_VALID = 0, 1, 2, 3, 4
 
 

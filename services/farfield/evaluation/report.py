@@ -25,7 +25,7 @@ from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
 from farfield.viewspace.model import ProblemViews
 
-WORST_VIEWS, HOPELESS_VIEWS, CULPRITS, CURVE_POINTS = 16, 100, 32, 256
+WORST_VIEWS, HOPELESS_VIEWS, CULPRITS = 16, 100, 32
 
 
 class JobInputs(Protocol):
@@ -80,7 +80,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
     ]  # fmt: skip
     return {
         "format": "farfield report", "version": 1,
-        "verdict": _verdict(manifest["verdict"], verified),
+        "verdict": _verdict(manifest["verdict"], verified), "stopped": placement.stopped,
         "budget": settings.budget, "budget_amount": model.budget, "unit": model.unit, "per_frame": model.per_frame,
         "smallest_budget": _smallest(model, views, placement), "device": _device(settings, model),
         **{key: manifest["counts"][key] for key in ("objects", "triangles", "cells", "problem_views", "hopeless_views",
@@ -198,8 +198,7 @@ def _object(scene: Scene, i: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _curve(placement: Placement) -> list[list[int]]:
-    """Return [bytes chosen, sum over views of what is above target] as the choices were made, thinned evenly."""
-    n = len(placement.step_bytes)
-    at = np.unique(np.linspace(0, n - 1, min(n, CURVE_POINTS)).round().astype(np.int64)) if n else np.zeros(0, np.int64)
-    return np.stack([placement.step_bytes[at], placement.step_view_cost[at]], axis=-1).astype(int).tolist()
+def _curve(placement: Placement) -> list[dict[str, int]]:
+    """Return what other budgets would need, see `farfield.placement.curve`; the first point is this placement's."""
+    columns = zip(placement.curve_budget, placement.curve_bytes, placement.curve_over, strict=True)
+    return [{"budget": int(b), "bytes": int(n), "views_over": int(v)} for b, n, v in columns]

@@ -35,7 +35,7 @@ def build_cost_model(scene: Scene, *, settings: Settings) -> CostModel:
     Raises SettingsInvalid for an unknown device, and for a time budget that is below what an empty frame costs.
     """
     budget = parse_budget(settings.budget)
-    profile = find_profile(settings.device)
+    profile = find_profile(settings)
     per_frame = 0
     call = triangle = pixel = impostor = impostor_triangle = impostor_pixel = 0.0
     if budget.unit == "ns":

@@ -112,9 +112,23 @@ device_profile = sa.Table(
     _id_column(),
     _of("tenant"),
     sa.Column("name", sa.String(100), nullable=False),
-    sa.Column("model", sa.JSON, nullable=False),
+    sa.Column("model", sa.JSON(none_as_null=True), nullable=True),  # settings.DeviceProfile; null: not yet fitted
+    sa.Column("refusal", sa.JSON(none_as_null=True), nullable=True),  # of the last fit: code, detail, advice
+    sa.Column("n_samples", sa.Integer, nullable=False, server_default="0"),
+    sa.Column("n_fitted", sa.Integer, nullable=False, server_default="0"),  # samples that model or refusal rest on
     _at("created_at", nullable=False),
     sa.UniqueConstraint("tenant_id", "name"),
+)
+
+device_sample = sa.Table(  # one row a request: a batch of measured frames
+    "device_sample",
+    metadata,
+    _of("tenant"),
+    _of("device_profile"),
+    sa.Column("first", sa.Integer, nullable=False),  # number of its first frame
+    sa.Column("frames", sa.JSON, nullable=False),  # rows of rendertime.samples.COLUMNS and ms
+    _at("created_at", nullable=False),
+    sa.PrimaryKeyConstraint("device_profile_id", "first"),
 )
 
 webhook = sa.Table(

@@ -17,6 +17,13 @@ export interface DeviceProfile {
   fit?: Fit | null;
 }
 
+export interface DeviceRequest {
+  /** what jobs call it in settings.device */
+  name: string;
+  /** its figures where they are known; else send samples */
+  profile?: DeviceProfile | null;
+}
+
 export interface Fit {
   samples: number;
   quantile: number;
@@ -75,6 +82,21 @@ export interface QualitySettings {
   pixels_at?: "centre" | "anywhere";
 }
 
+export interface Sample {
+  calls: number;
+  triangles: number;
+  pixels: number;
+  impostors: number;
+  impostor_triangles: number;
+  impostor_pixels: number;
+  ms: number;
+}
+
+export interface SamplesRequest {
+  /** added to those that the device has */
+  samples: Sample[];
+}
+
 export interface SceneSettings {
   unit_m?: number | null;
   up?: "y" | "z" | null;
@@ -115,6 +137,10 @@ export type Route =
   | "GET /livez"
   | "GET /metrics"
   | "GET /readyz"
+  | "GET /v1/devices"
+  | "POST /v1/devices"
+  | "GET /v1/devices/{device_id}"
+  | "POST /v1/devices/{device_id}/samples"
   | "GET /v1/jobs"
   | "POST /v1/jobs"
   | "DELETE /v1/jobs/{job_id}"
@@ -122,6 +148,7 @@ export type Route =
   | "POST /v1/jobs/{job_id}/cancel"
   | "GET /v1/jobs/{job_id}/events"
   | "GET /v1/jobs/{job_id}/report"
+  | "POST /v1/jobs/{job_id}/retry"
   | "GET /v1/jobs/{job_id}/stages/{stage}/shards"
   | "POST /v1/logins"
   | "GET /v1/placements"

@@ -1,5 +1,5 @@
 /** What the API answers. tests/api/test_types.py holds every key here that is not optional against real answers. */
-import type { Settings, Stage } from "./schema";
+import type { DeviceProfile, Settings, Stage } from "./schema";
 
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export type StageState = "waiting" | "planning" | "running" | "merging" | "reporting" | "done" | "skipped" | "failed";
@@ -157,4 +157,19 @@ export interface SceneObject {
 
 export interface SceneObjects {
   objects: SceneObject[];
+}
+
+export interface Device {
+  id: string;
+  name: string;
+  samples: number;
+  profile: DeviceProfile | null;
+  missing: { code: string; detail: string; advice: string } | null;
+  created_at: string;
+  links: { self: string };
+}
+
+export interface DevicePage {
+  presets: { name: string; profile: DeviceProfile }[];
+  devices: Device[];
 }

@@ -1,0 +1,113 @@
+"""The Python client against the API: each call once, refusals by name, damage noticed."""
+
+import hashlib
+import json
+
+import httpx
+import pytest
+from farfield.client import Client, Refused, file_digest
+from farfield.errors import ColumnsAltered, ServiceError
+
+
+@pytest.fixture
+def client(service):
+    return Client("http://127.0.0.1", service.key, http=service.client)
+
+
+@pytest.fixture
+def toy(tmp_path):
+    path = tmp_path / "töy level.glb"
+    path.write_text("{}")
+    return path
+
+
+def test_a_scene_is_sent_once_and_a_job_started_once(client, toy, worker):
+    sent = []
+    told = client.send_scene(toy, sent=sent.append)
+    assert told["digest"] == file_digest(toy)
+    assert client.send_scene(toy, sent=sent.append)["digest"] == told["digest"]
+    assert sent == [2]
+    jobs = [client.create_job(told["digest"], {"seed": 1}, idempotency_key="one", name="town") for _ in range(2)]
+    assert jobs[0]["id"] == jobs[1]["id"]
+    worker()
+    heard = list(client.events(jobs[0]["id"]))
+    assert heard[-1][1]["verdict"] == "valid"
+    assert [e["kind"] for e in client.past_events(jobs[0]["id"])] == [kind for kind, _ in heard]
+    assert list(client.events(jobs[0]["id"], after=len(heard))) == []
+    assert client.report(jobs[0]["id"])["verdict"] == "valid"
+    assert "/open#" in client.login_url("/jobs")
+
+
+def test_all_pages_of_jobs_are_read(client, toy):
+    digest = client.send_scene(toy)["digest"]
+    made = [client.create_job(digest, {}, idempotency_key=f"{i}")["id"] for i in range(103)]
+    assert [job["id"] for job in client.jobs()] == made[::-1]
+    assert client.cancel(made[0])["state"] == "cancelled"
+    assert [job["id"] for job in client.jobs(state="cancelled")] == made[:1]
+    assert client.retry(made[0])["state"] == "queued"
+
+
+def test_a_refusal_keeps_the_name_that_the_service_gave(client):
+    with pytest.raises(Refused) as refused:
+        client.create_job("0" * 64, {}, idempotency_key="none")
+    assert refused.value.code == "SceneNotFound"
+    assert refused.value.advice
+    with pytest.raises(Refused) as refused:
+        Client("http://127.0.0.1", "ff_no_key", http=client._http).knows_scene("0" * 64)
+    assert refused.value.code == "KeyUnknown"
+
+
+def placement(damage=()):
+    """A service that has one placement; the files in `damage` come altered."""
+    files = {"index-1.ffc": b"index", "chunks/a.ffc": b"chunk", "pages/p.webp": b"page", "scene.glb": b"glTF"}
+
+    def told(name):
+        return {"file": name, "sha256": hashlib.sha256(files[name]).hexdigest()}
+
+    manifest = {
+        "index": told("index-1.ffc"), "chunks": [told("chunks/a.ffc")], "pages": [told("pages/p.webp")],
+        "scene": told("scene.glb"),
+    }  # fmt: skip
+    files |= {"manifest.json": json.dumps(manifest).encode(), "report.json": b"{}"}
+
+    def answer(request):
+        name = request.url.path.removeprefix("/v1/placements/job/")
+        asked.append(name)
+        return httpx.Response(200, content=files[name] + (b"!" if name in damage else b""))
+
+    asked: list[str] = []
+    return Client("http://127.0.0.1", "key", http=httpx.Client(transport=httpx.MockTransport(answer),
+                                                               base_url="http://127.0.0.1")), asked  # fmt: skip
+
+
+def test_fetch_goes_on_where_it_stopped_and_writes_the_manifest_last(tmp_path):
+    broken, _ = placement(damage={"pages/p.webp"})
+    with pytest.raises(ColumnsAltered, match="pages/p.webp"):
+        broken.fetch("job", tmp_path)
+    assert not (tmp_path / "placement" / "manifest.json").exists()
+    whole, asked = placement()
+    steps = []
+    assert whole.fetch("job", tmp_path, sent=steps.append) == 4
+    assert asked[1:] == ["scene.glb", "pages/p.webp", "report.json"] or asked[1:] == ["pages/p.webp", "report.json"]
+    assert sum(steps) == 6
+    assert (tmp_path / "placement" / "pages" / "p.webp").read_bytes() == b"page"
+    assert (tmp_path / "scene.glb").read_bytes() == b"glTF"
+
+
+def test_a_manifest_cannot_name_a_file_outside(tmp_path):
+    client, _ = placement()
+    read = client.files
+    client.files = lambda job: (b"{}", {"../evil": None, **read(job)[1]})
+    with pytest.raises(ColumnsAltered, match="outside"):
+        client.fetch("job", tmp_path)
+
+
+def test_a_service_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda s: None)
+
+    def refuse(request):
+        raise httpx.ConnectError("refused")
+
+    http = httpx.Client(transport=httpx.MockTransport(refuse), base_url="http://127.0.0.1")
+    with pytest.raises(ServiceError, match="does not answer"):
+        Client("http://127.0.0.1", "key", http=http).job("any")
