@@ -44,7 +44,7 @@ def wait_for_shard(client, job: str, stage: str, seconds: float = 180) -> None:
     raise AssertionError(f"no shard of {stage} was seen running")
 
 
-def test_killed_workers_leave_the_bytes_of_an_undisturbed_run(placed, level, files_of, service):
+def test_killed_workers_leave_the_bytes_of_an_undisturbed_run(placed, level, files_of, service, tmp_path):
     launcher, told, client = service
     scene, settings = level
     words = ["submit", str(scene), "--url", told["url"], "--key-file", told["key_file"], "--settings", str(settings)]
@@ -58,7 +58,17 @@ def test_killed_workers_leave_the_bytes_of_an_undisturbed_run(placed, level, fil
         assert time.monotonic() < end, state
         time.sleep(0.2)
     assert (state["state"], state["verdict"]) == ("done", "valid"), state
+    service = ["--url", told["url"], "--key-file", told["key_file"], "--json"]
+    fetch = [*FARFIELD, "fetch", job, "--out", str(tmp_path / "fetched"), *service]
     expected = files_of(placed[0] / "placement")
-    got = {name: client.get(f"/v1/placements/{job}/{name}").content for name in expected}
-    assert got == expected
-    assert client.get(f"/v1/placements/{job}/scene.glb").content == (placed[0] / "scene.glb").read_bytes()
+    assert json.loads(subprocess.check_output(fetch, text=True))["fetched"] == len(expected) + 2
+    assert files_of(tmp_path / "fetched" / "placement") == expected
+    assert (tmp_path / "fetched" / "scene.glb").read_bytes() == (placed[0] / "scene.glb").read_bytes()
+    # What is there already does not come again: the report, which has no digest, and the manifest do.
+    next((tmp_path / "fetched" / "placement" / "pages").iterdir()).write_bytes(b"damaged")
+    assert json.loads(subprocess.check_output(fetch, text=True))["fetched"] == 3
+    assert files_of(tmp_path / "fetched" / "placement") == expected
+    logged = subprocess.check_output([*FARFIELD, "logs", job, "--follow", *service], text=True).splitlines()
+    assert json.loads(logged[-1])["verdict"] == "valid"
+    listed = json.loads(subprocess.check_output([*FARFIELD, "jobs", *service], text=True))["jobs"]
+    assert [j["id"] for j in listed] == [job]

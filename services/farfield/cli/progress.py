@@ -1,8 +1,13 @@
-"""The progress table of `place` and `submit`: a line a stage, readable at 80 columns."""
+"""The progress table of `place` and of the verbs that follow a job: a line a stage, readable at 80 columns."""
+
+from collections.abc import Iterable
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
+
+from farfield.stages import Stage
 
 
 def stage_bars(console: Console, *, disable: bool = False) -> Progress:
@@ -19,3 +24,26 @@ def stage_bars(console: Console, *, disable: bool = False) -> Progress:
         expand=True,
         disable=disable,
     )
+
+
+def follow(events: Iterable[tuple[str, dict[str, Any]]], console: Console) -> None:
+    """Show a job's events, (kind, data) each, until the last one; where there is no terminal, a line a stage."""
+    with stage_bars(console, disable=not console.is_terminal) as bars:
+        tasks = {str(s): bars.add_task(s, total=None, start=False, note="") for s in Stage}
+        for kind, data in events:
+            task = tasks.get(data.get("stage", ""))
+            if kind == "stage" and task is not None:
+                if data["state"] == "planning":
+                    bars.start_task(task)
+                elif data["state"] in ("running", "merging") and "shards" in data:
+                    bars.update(task, total=max(data["shards"], 1))
+                elif data["state"] in ("done", "skipped", "failed"):
+                    if not console.is_terminal:  # bars would only show at the end of a build's log
+                        reason = f": {data['skipped']}" if data.get("skipped") else ""
+                        console.out(f"{data['stage']} {data['state']}{reason}", highlight=False)
+                    bars.update(task, total=1, completed=1)
+                    bars.stop_task(task)
+                if data.get("skipped"):
+                    bars.update(task, note=f"skipped: {data['skipped']}")
+            elif kind == "shard" and task is not None and data["kind"] == "run" and data["state"] == "done":
+                bars.advance(task)

@@ -1,0 +1,275 @@
+"""The Python client of the service: what a build farm does, each call once whatever the line does.
+
+    with Client("https://farfield.studio.example", key) as service:
+        scene = service.send_scene(Path("level.glb"))
+        job = service.create_job(scene, {"budget": "16 ms"}, idempotency_key="build-17")
+        for kind, data in service.events(job["id"]):
+            print(kind, data)
+        service.fetch(job["id"], Path("placed"))
+
+Requests that change nothing, or that an idempotency key guards, are sent again where the connection fails. Events are
+followed with Last-Event-ID: a service that restarts in between loses none. Refusals are raised as `Refused`, with the
+service's own code and advice.
+"""
+
+import hashlib
+import json
+import time
+import urllib.parse
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import httpx
+
+from farfield.errors import ColumnsAltered, FarfieldError, ServiceError
+
+CHUNK_BYTES = 1 << 20
+TRIES = 5
+PAGE = 100  # jobs a request
+ENDED = ("done", "failed", "cancelled")
+
+Sent = Callable[[int], object]  # told the bytes of each piece that went or came
+
+
+class Refused(FarfieldError):
+    """The service refused a request, or the job failed, with this code."""
+
+    def __init__(self, problem: Mapping[str, Any]) -> None:
+        super().__init__(str(problem.get("detail") or problem.get("message") or "no reason was given"))
+        self._code, self.advice = str(problem.get("code", "Refused")), str(problem.get("advice", ""))
+        self.problem = dict(problem)
+
+    @property
+    def code(self) -> str:
+        return self._code
+
+    def __reduce__(self) -> Any:
+        return type(self), (self.problem,)
+
+
+class Client:
+    """A service under `url`, as the holder of `key`. Every method raises Refused, or ServiceError where nobody answers."""
+
+    def __init__(self, url: str, key: str, *, trust_proxy: bool = True, http: httpx.Client | None = None) -> None:
+        """http  instead of a client of our own: whose transport, certificates or proxies you have set yourself"""
+        self.url = url.rstrip("/")
+        self._http = http or httpx.Client(
+            base_url=self.url, timeout=httpx.Timeout(30.0, read=900.0), trust_env=trust_proxy
+        )
+        self._http.headers["authorization"] = f"Bearer {key}"
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    # scenes
+
+    def knows_scene(self, digest: str) -> bool:
+        """Say whether a scene with this SHA-256 was sent before."""
+        answer = self._request("HEAD", f"/v1/scenes/{digest}")
+        if not answer.is_success and answer.status_code != 404:
+            self._get(f"/v1/scenes/{digest}")  # HEAD has no body that says why
+        return answer.is_success
+
+    def send_scene(self, path: Path, *, digest: str | None = None, sent: Sent = int) -> dict[str, Any]:
+        """Send the file at `path` where it is unknown, and return what the service says of it (`digest`, `warnings`)."""
+        digest = digest or file_digest(path)
+        if self.knows_scene(digest):
+            return self.scene(digest)
+        headers = {
+            "content-disposition": f"attachment; filename*=UTF-8''{urllib.parse.quote(path.name)}",
+            "content-type": "application/octet-stream", "content-length": str(path.stat().st_size),
+        }  # fmt: skip
+
+        def content() -> Iterator[bytes]:
+            with path.open("rb") as file:
+                while chunk := file.read(CHUNK_BYTES):
+                    yield chunk
+                    sent(len(chunk))
+
+        try:
+            answer = self._http.post("/v1/scenes", content=content(), headers=headers)
+        except httpx.TransportError as error:
+            raise self._silent(error) from error
+        return self._read(answer)
+
+    def scene(self, digest: str) -> dict[str, Any]:
+        """Return what the service says of a scene."""
+        return self._get(f"/v1/scenes/{digest}")
+
+    # jobs
+
+    def create_job(
+        self, scene: str, settings: Mapping[str, Any], *, idempotency_key: str, name: str | None = None
+    ) -> dict[str, Any]:
+        """Start a job for the scene with this digest; the same key again is the same job."""
+        body = {"scene": scene, "settings": dict(settings), "name": name}
+        headers = {"idempotency-key": idempotency_key}
+        return self._read(self._request("POST", "/v1/jobs", json=body, headers=headers))
+
+    def job(self, job: str) -> dict[str, Any]:
+        """Return the job: state, stages, verdict, links."""
+        return self._get(f"/v1/jobs/{job}")
+
+    def jobs(self, *, state: str | None = None) -> Iterator[dict[str, Any]]:
+        """Yield all jobs, newest first, in that state where one is given."""
+        query: dict[str, Any] = {"limit": PAGE, **({"state": state} if state else {})}
+        while True:
+            page = self._get("/v1/jobs", query)
+            yield from page["jobs"]
+            if page["next"] is None:
+                return
+            query["cursor"] = page["next"]
+
+    def cancel(self, job: str) -> dict[str, Any]:
+        """Stop the job; what is done stays."""
+        return self._read(self._request("POST", f"/v1/jobs/{job}/cancel"))
+
+    def retry(self, job: str) -> dict[str, Any]:
+        """Let a failed or cancelled job go on from what is done."""
+        return self._read(self._request("POST", f"/v1/jobs/{job}/retry"))
+
+    def report(self, job: str) -> dict[str, Any]:
+        """Return the report of a job that is done (docs/formats/report.md)."""
+        return self._get(f"/v1/jobs/{job}/report")
+
+    def login_url(self, to: str) -> str:
+        """Return an address that opens the page `to` in a browser, once."""
+        return str(self._read(self._request("POST", "/v1/logins", json={"to": to}))["url"])
+
+    def past_events(self, job: str) -> Iterator[dict[str, Any]]:
+        """Yield what has happened so far: `seq`, `kind`, `at`, `data`."""
+        after = 0
+        while True:
+            answer = self._request(
+                "GET", f"/v1/jobs/{job}/events", params={"after": after, "limit": 1000},
+                headers={"accept": "application/json"},
+            )  # fmt: skip
+            page = self._read(answer)
+            yield from page["events"]
+            if not page["events"]:
+                return
+            after = page["next"]
+
+    def events(self, job: str, *, after: int = 0) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield (kind, data) of every event after that number once, in order, until the job has ended."""
+        last, failures = str(after), 0
+        while True:
+            try:
+                headers = {"last-event-id": last, "accept": "text/event-stream"}
+                timeout = httpx.Timeout(30.0, read=60.0)  # the service says something every 15 s
+                with self._http.stream("GET", f"/v1/jobs/{job}/events", headers=headers, timeout=timeout) as stream:
+                    if stream.status_code == 204:
+                        return
+                    if not stream.is_success:
+                        stream.read()
+                        self._read(stream)
+                    fields: dict[str, str] = {}
+                    for line in stream.iter_lines():
+                        failures = 0
+                        if line:
+                            name, _, value = line.partition(":")
+                            fields[name] = value.removeprefix(" ")
+                            continue
+                        if "data" in fields:
+                            last = fields.get("id", last)
+                            yield fields.get("event", "message"), json.loads(fields["data"])
+                        fields = {}
+            except httpx.TransportError as error:
+                failures += 1
+                if failures >= TRIES:
+                    raise self._silent(error) from error
+                time.sleep(0.5 * 2**failures)
+
+    # placements
+
+    def files(self, job: str) -> tuple[bytes, dict[str, str | None]]:
+        """Return (manifest.json, {path below the job's folder: SHA-256 of the file})."""
+        manifest = self._file(job, "manifest.json")
+        told = json.loads(manifest)
+        below = [told["index"], *told["chunks"], *told["pages"]]
+        files: dict[str, str | None] = {f"placement/{f['file']}": str(f["sha256"]) for f in below}
+        return manifest, {told["scene"]["file"]: told["scene"]["sha256"], **files, "report.json": None}
+
+    def fetch(self, job: str, folder: Path, *, sent: Sent = int, found: Callable[[int], object] = int) -> int:
+        """Write the job's placement, scene and report to `folder` as `farfield place` does; return how many files came.
+
+        Files that are there and have the right digest are not fetched again, so that a call after a lost line goes on
+        where the first one stopped. The manifest comes last: a folder that has one is complete. Raises ColumnsAltered
+        where what came is not what the manifest says.
+        """
+        manifest, files = self.files(job)
+        found(len(files) + 1)
+        fetched = 0
+        for name, digest in files.items():
+            path = folder / name
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise ColumnsAltered("manifest.json", f"it names a file outside its folder: {name}")
+            if digest is None or not path.is_file() or file_digest(path) != digest:
+                content = self._file(job, name.removeprefix("placement/"))
+                if digest is not None and hashlib.sha256(content).hexdigest() != digest:
+                    raise ColumnsAltered(name, "its digest is not the one in the manifest")
+                _write(path, content)
+                fetched += 1
+            sent(1)
+        _write(folder / "placement" / "manifest.json", manifest)
+        sent(1)
+        return fetched + 1
+
+    def _file(self, job: str, path: str) -> bytes:
+        answer = self._request("GET", f"/v1/placements/{job}/{path}")
+        if not answer.is_success:
+            self._read(answer)
+        return answer.content
+
+    # requests
+
+    def _get(self, path: str, query: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        return self._read(self._request("GET", path, params=query))
+
+    def _request(self, method: str, path: str, **more: Any) -> httpx.Response:
+        """Return the answer; ask again where the connection fails or the service is starting."""
+        for attempt in range(TRIES):
+            try:
+                answer = self._http.request(method, path, **more)
+            except httpx.TransportError as error:
+                if attempt == TRIES - 1:
+                    raise self._silent(error) from error
+            else:
+                if answer.status_code not in (502, 503, 504) or attempt == TRIES - 1:
+                    return answer
+            time.sleep(0.5 * 2**attempt)
+        raise AssertionError("unreachable")
+
+    def _read(self, answer: httpx.Response) -> dict[str, Any]:
+        try:
+            body = answer.json()
+        except ValueError:
+            body = None
+        if answer.is_success and isinstance(body, dict):
+            return body
+        if answer.is_success or not isinstance(body, dict):
+            body = {"code": "ServiceError", "detail": f"{self.url} answered {answer.status_code} without JSON"}
+        raise Refused(body)
+
+    def _silent(self, error: httpx.TransportError) -> ServiceError:
+        return ServiceError(f"{self.url} does not answer: {error}")
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 (hex) of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_bytes(content)
+    temporary.replace(path)
