@@ -47,7 +47,9 @@ class QualitySettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibilitySettings:
-    mode: Literal["off"] = "off"
+    mode: Literal["auto", "sampled", "conservative", "off"] = "off"
+    missed_ppm: float = 40.0  # missed pixels a million at which sampling stops, as a 95 % bound, (0, 1e6]
+    rays: int = 400_000  # ... or after as many rays a cell, 1000..10**9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,6 +175,8 @@ def check(settings: Settings) -> None:
             finite = all(math.isfinite(x) for x in (*low, *high))
             need(finite and all(a <= b for a, b in zip(low, high, strict=True)), f"view_space.boxes[{i}]",
                  "must be two finite corners, the lower one first")  # fmt: skip
+    need(0 < s.visibility.missed_ppm <= 1e6, "visibility.missed_ppm", "must be in (0, 1e6] pixels a million")
+    need(1000 <= s.visibility.rays <= 10**9, "visibility.rays", "must be in 1000..10**9 rays a cell")
     need(0 < s.quality.pixel_error <= 64, "quality.pixel_error", "must be in (0, 64] pixels")
     need(1 <= s.placement.hopeless_slack <= 10, "placement.hopeless_slack", "must be in [1, 10]")
     need(1 <= s.placement.regions <= 64, "placement.regions", "must be in 1..64")

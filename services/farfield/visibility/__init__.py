@@ -1,1 +1,1 @@
-"""Hierarchy, cells -> VisibleSets: what each view-space cell can see."""
+"""Scene, cells -> VisibleSets: what each view-space cell can see."""
