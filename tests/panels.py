@@ -77,7 +77,7 @@ def chosen(clusters: list[int], kind: int, view_cells: np.ndarray, sizes: list[i
         bytes=np.array(sizes or [1 << 20] * n, np.int64), layers=np.ones(n, np.int32), cost=np.ones(n, np.int64),
         serve_row=np.zeros(1, np.int64), serve=np.zeros(0, np.int32), view_cost=none, view_target=none, view_best=none,
         hopeless=np.zeros(0, bool), culprit_row=np.zeros(1, np.int64), culprit=np.zeros(0, np.int32), smallest_budget=0,
-        step_view_cost=none, step_bytes=none, stopped=False,
+        curve_budget=none, curve_bytes=none, curve_over=none, stopped=False,
     )  # fmt: skip
 
 

@@ -153,7 +153,7 @@ def made_up(
         culprit_row=np.arange(n_hopeless + 1, dtype=np.int64) * 2,
         culprit=np.tile(np.arange(2, dtype=np.int32), n_hopeless),
         smallest_budget=int(view_cost.max(initial=0)) + per_frame,
-        step_view_cost=np.arange(3, 0, -1), step_bytes=np.arange(3), stopped=False,
+        curve_budget=np.arange(3), curve_bytes=np.arange(3, 0, -1), curve_over=np.zeros(3, np.int64), stopped=False,
     )  # fmt: skip
     sets = VisibleSets(mode="off", row=np.zeros(0, np.int64), object=np.zeros(0, np.int32))
     if visible:

@@ -20,10 +20,11 @@ from farfield.candidates.model import Candidates, take
 from farfield.errors import StageFailed
 from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
-from farfield.placement.antichain import Offers, offers_of, subtree_end
+from farfield.placement.antichain import Offers, subtree_end
 from farfield.placement.assign import fastest, least
 from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.choose import Progress, choose
+from farfield.placement.curve import gather, trace
 from farfield.placement.evaluate import evaluate
 from farfield.placement.limit import Limit
 from farfield.placement.model import Placement
@@ -69,15 +70,21 @@ def place(
     chosen = rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
     tell(0.75, {"choices": len(choice.step), "impostors": len(chosen)})
 
-    impostors, offers = _gather(some, chosen, len(need))
+    impostors, offers = gather(some, chosen, len(need))
     if policy.reverse_delete:
         impostors, offers = _pruned(impostors, offers, need=need, end=end, limit=limit)
     tell(0.85, {"impostors": len(impostors.cluster), "bytes": int(impostors.bytes.sum())})
-    if policy.view_cells == "tight" and not limit.over():
-        impostors, offers = tighten(
-            impostors, offers, needed=least(offers, cluster=impostors.cluster, end=end, need=need),
-            view_cell=views.cell, hierarchy=hierarchy, cells=cells, refit=refit or _candidates_refit(model, settings),
-            stop=limit.over,
+
+    def fit(impostors: Impostors, offers: Offers, needed: np.ndarray) -> tuple[Impostors, Offers]:
+        return tighten(
+            impostors, offers, needed=needed, view_cell=views.cell, hierarchy=hierarchy, cells=cells,
+            refit=refit or _candidates_refit(model, settings), stop=limit.over,
+        )  # fmt: skip
+
+    tight = policy.view_cells == "tight"
+    if tight and not limit.over():
+        impostors, offers = fit(
+            impostors, offers, least(offers, cluster=impostors.cluster, end=end, need=need)
         )  # fmt: skip
         if policy.reverse_delete:
             impostors, offers = _pruned(impostors, offers, need=need, end=end, limit=limit)
@@ -99,13 +106,21 @@ def place(
         raise StageFailed(
             Stage.PLACEMENT, f"problem view {int(np.argmax(view_cost > prospects.target))} missed its target"
         )
+    points = list(
+        trace(
+            impostors, offers, take(some, np.union1d(choice.step, chosen)), model=model, cost=views.cost,
+            target=prospects.target, end=end, fit=fit if tight else lambda impostors, offers, needed: (impostors, offers),
+            stop=limit.over,
+        )
+    )  # fmt: skip
     tell(1.0, {"impostors": len(impostors.cluster), "bytes": int(impostors.bytes.sum())})
     return Placement(
         cluster=impostors.cluster, kind=impostors.kind, view_cell=impostors.view_cell, bytes=impostors.bytes,
         layers=impostors.layers, cost=impostors.cost, serve_row=serve_row, serve=serve, view_cost=view_cost,
         view_target=prospects.target, view_best=prospects.best, hopeless=prospects.hopeless,
         culprit_row=prospects.culprit_row, culprit=prospects.culprit, smallest_budget=prospects.smallest_budget,
-        step_view_cost=choice.step_over, step_bytes=choice.step_bytes, stopped=limit.stopped,
+        curve_budget=np.array([p.budget for p in points], np.int64), curve_bytes=np.array([p.bytes for p in points], np.int64),
+        curve_over=np.array([p.over for p in points], np.int64), stopped=limit.stopped,
     )  # fmt: skip
 
 
@@ -123,7 +138,8 @@ def _nothing_to_place(model: CostModel, views: ProblemViews) -> Placement:
         cluster=i32, kind=np.zeros(0, np.uint8), view_cell=np.zeros((0, 9)), bytes=i64, layers=i32, cost=i64,
         serve_row=row, serve=i32, view_cost=i64, view_target=i64, view_best=i64, hopeless=np.zeros(0, bool),
         culprit_row=row, culprit=i32, smallest_budget=model.per_frame + int(views.worst_nonproblem),
-        step_view_cost=i64, step_bytes=i64, stopped=False,
+        curve_budget=np.array([model.budget]), curve_bytes=np.zeros(1, np.int64), curve_over=np.zeros(1, np.int64),
+        stopped=False,
     )  # fmt: skip
 
 
@@ -131,17 +147,6 @@ def _candidates_refit(model: CostModel, settings: Settings) -> Refit:
     from farfield.candidates.generate import refit
 
     return partial(refit, model=model, settings=settings)
-
-
-def _gather(candidates: Candidates, chosen: np.ndarray, n_views: int) -> tuple[Impostors, Offers]:
-    row, id, saved = offers_of(
-        chosen, candidates.row, candidates.view, candidates.saved, np.ones(n_views, dtype=bool)
-    )  # fmt: skip
-    impostors = Impostors(
-        cluster=candidates.cluster[chosen], kind=candidates.kind[chosen], view_cell=candidates.view_cell[chosen],
-        bytes=candidates.bytes[chosen], layers=candidates.layers[chosen], cost=candidates.cost[chosen],
-    )  # fmt: skip
-    return impostors, Offers(row=row, id=id, saved=saved)
 
 
 def _pruned(

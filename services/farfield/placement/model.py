@@ -28,6 +28,9 @@ class Placement:
     culprit_row: np.ndarray  # (H+1,) i64  for the h-th hopeless view (ascending): objects to blame ...
     culprit: np.ndarray  # (U,) i32  ... most expensive first, at most 16
     smallest_budget: int  # least budget (with per_frame) that every view could meet
-    step_view_cost: np.ndarray  # (G,) i64  after each accepted choice: sum over views of what is above target
-    step_bytes: np.ndarray  # (G,) i64  ... and the bytes chosen so far
+    curve_budget: np.ndarray  # (K,) i64  memory over budget, see `curve`: budgets (with per_frame), ascending ...
+    curve_bytes: (
+        np.ndarray
+    )  # (K,) i64  ... bytes that were found to suffice there (estimates, like `bytes` before `repair`) ...
+    curve_over: np.ndarray  # (K,) i64  ... for all problem views but so many
     stopped: bool  # a wall-clock limit cut the search short: another run may end elsewhere
