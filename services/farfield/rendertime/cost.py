@@ -17,6 +17,8 @@ import math
 
 import numpy as np
 
+from farfield.detail.distances import from_distance, stretch
+from farfield.detail.model import Levels
 from farfield.errors import SettingsInvalid
 from farfield.rendertime import kernels
 from farfield.rendertime.model import CostModel
@@ -27,11 +29,12 @@ from farfield.settings import Settings, parse_budget
 MARGIN = 1 + 1e-9  # float64 error of bound and of any exact measure it is compared with, relative to the bound
 
 
-def build_cost_model(scene: Scene, *, settings: Settings) -> CostModel:
+def build_cost_model(scene: Scene, levels: Levels | None = None, *, settings: Settings) -> CostModel:
     """Return what drawing the scene's objects costs, in the budget's unit.
 
     In "ns" the coefficients are the device profile's; in "calls" an object costs its calls and an impostor 1; in
     "triangles" an object costs its triangles and an impostor those of its layers; everything else is 0 there.
+    With `levels` an object costs, from where they are within the pixel error, what its level costs.
     Raises SettingsInvalid for an unknown device, and for a time budget that is below what an empty frame costs.
     """
     budget = parse_budget(settings.budget)
@@ -55,7 +58,26 @@ def build_cost_model(scene: Scene, *, settings: Settings) -> CostModel:
         per_pixel=pixel, per_impostor=impostor, per_impostor_triangle=impostor_triangle,
         per_impostor_pixel=impostor_pixel, object_fixed=fixed, fov_deg=settings.camera.fov_deg,
         width=settings.camera.width, height=settings.camera.height,
+        **_level_columns(scene, levels, call=call, triangle=triangle, settings=settings),
     )  # fmt: skip
+
+
+def _level_columns(
+    scene: Scene, levels: Levels | None, *, call: float, triangle: float, settings: Settings
+) -> dict[str, np.ndarray]:
+    """Return CostModel's columns of levels, an entry for each level of each object's mesh."""
+    if levels is None or not levels.n_levels:
+        return {}
+    first, count = levels.row[scene.object_mesh], np.diff(levels.row)[scene.object_mesh]
+    row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    of = np.repeat(np.arange(scene.n_objects), count)
+    level = first[of] + np.arange(row[-1]) - row[of]
+    triangles = levels.triangles[level]
+    return {
+        "level_row": row, "level_from": from_distance(levels.error_m[level] * stretch(scene.object_matrix)[of], settings),
+        "level_fixed": np.ceil(scene.object_calls[of] * call + triangles * triangle).astype(np.int64),
+        "level_triangles": triangles,
+    }  # fmt: skip
 
 
 def screen(model: CostModel) -> np.ndarray:
@@ -75,7 +97,7 @@ def screen(model: CostModel) -> np.ndarray:
 
 
 def object_cost(model: CostModel, boxes: np.ndarray, cell_box: np.ndarray) -> np.ndarray:
-    """Return (N,) i64, in `model.unit`: the most that each object costs in any view from the cell.
+    """Return (N,) i64, in `model.unit`: the most that each object costs in any view from the cell, at its level there.
 
     boxes     (N,2,3) f64, the model's objects, same frame and unit of length as cell_box
     cell_box  (2,3) f64
@@ -89,7 +111,29 @@ def object_cost(model: CostModel, boxes: np.ndarray, cell_box: np.ndarray) -> np
     cell_box = np.ascontiguousarray(cell_box, dtype=np.float64).reshape(2, 3)
     assert len(boxes) == len(model.object_fixed)
     out = np.empty(len(boxes), dtype=np.int64)
-    kernels.object_costs(model.object_fixed, boxes, cell_box, model.per_pixel, screen(model), out)
+    kernels.object_costs(
+        model.object_fixed, model.level_row, model.level_from, model.level_fixed, boxes, cell_box, model.per_pixel,
+        screen(model), out,
+    )  # fmt: skip
+    return out
+
+
+def object_level(model: CostModel, boxes: np.ndarray, cell_box: np.ndarray) -> np.ndarray:
+    """Return (N,) i64: the level at which each object is drawn from anywhere in the cell, 0 the object itself."""
+    boxes = np.ascontiguousarray(boxes, dtype=np.float64).reshape(-1, 2, 3)
+    cell_box = np.ascontiguousarray(cell_box, dtype=np.float64).reshape(2, 3)
+    assert len(boxes) == len(model.object_fixed)
+    out = np.empty(len(boxes), dtype=np.int64)
+    kernels.object_levels(boxes, cell_box, model.level_row, model.level_from, out)
+    return out
+
+
+def least_cost(model: CostModel) -> np.ndarray:
+    """Return (N,) i64: what each object costs at its coarsest, pixels left out."""
+    out = model.object_fixed.copy()
+    if len(model.level_row):
+        some = np.flatnonzero(np.diff(model.level_row))
+        out[some] = np.minimum(out[some], model.level_fixed[model.level_row[some + 1] - 1])
     return out
 
 

@@ -46,17 +46,42 @@ def impostor_cost(triangles, pixels, per_impostor, per_triangle, per_pixel):
 
 
 @njit(cache=True)
+def gap(box, cell):
+    """Return the distance of a box (2,3) from a cell (2,3); 0 where they touch. It falls as the cell grows."""
+    gap2 = 0.0
+    for k in range(3):
+        d = max(box[0, k] - cell[1, k], cell[0, k] - box[1, k])
+        if d > 0:
+            gap2 += d * d
+    return math.sqrt(gap2)
+
+
+@njit(cache=True)
+def level_of(o, distance, level_row, level_from):
+    """Return the level that object o is drawn at: 0 itself, k the k-th of its rows."""
+    level = 0
+    if len(level_row) > 0:
+        first = level_row[o]
+        for k in range(first, level_row[o + 1]):
+            if level_from[k] <= distance:
+                level = k - first + 1
+    return level
+
+
+@njit(cache=True)
+def object_levels(boxes, cell, level_row, level_from, out):
+    for o in range(len(boxes)):
+        out[o] = level_of(o, gap(boxes[o], cell), level_row, level_from)
+
+
+@njit(cache=True)
 def pixels_from(box, cell, screen):
     """Return the most pixels that a box (2,3) covers, seen from a cell (2,3)."""
-    gap2 = 0.0
     size2 = 0.0
     for k in range(3):
-        gap = max(box[0, k] - cell[1, k], cell[0, k] - box[1, k])
-        if gap > 0:
-            gap2 += gap * gap
         size = box[1, k] - box[0, k]
         size2 += size * size
-    return box_pixels(math.sqrt(gap2), math.sqrt(size2), screen)
+    return box_pixels(gap(box, cell), math.sqrt(size2), screen)
 
 
 @njit(cache=True)
@@ -66,9 +91,12 @@ def covered_pixels(boxes, cell, screen, out):
 
 
 @njit(cache=True)
-def object_costs(fixed, boxes, cell, per_pixel, screen, out):
+def object_costs(fixed, level_row, level_from, level_fixed, boxes, cell, per_pixel, screen, out):
     for i in range(len(boxes)):
+        out[i] = fixed[i]
+        if len(level_row) > 0:
+            level = level_of(i, gap(boxes[i], cell), level_row, level_from)
+            if level > 0:
+                out[i] = level_fixed[level_row[i] + level - 1]
         if per_pixel > 0:
-            out[i] = fixed[i] + np.int64(math.ceil(per_pixel * pixels_from(boxes[i], cell, screen)))
-        else:
-            out[i] = fixed[i]
+            out[i] += np.int64(math.ceil(per_pixel * pixels_from(boxes[i], cell, screen)))

@@ -1,6 +1,6 @@
 """The output of stage 3."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,11 @@ class CostModel:
     fov_deg: float  # vertical
     width: int
     height: int
+    # coarser levels of objects: object o, no nearer to a cell than level_from[k], is drawn there as level k of its rows
+    level_row: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # (N+1,) i64, or (0,) without levels
+    level_from: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (K,) f64  metres, ascending within an object
+    level_fixed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # (K,) i64  as object_fixed
+    level_triangles: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # (K,) i64
 
     @property
     def target(self) -> int:

@@ -24,7 +24,7 @@ from farfield.geometry.camera import Camera
 from farfield.geometry.cells import CellTree, build_cells
 from farfield.geometry.frusta import enclosing_frusta
 from farfield.hierarchy.model import Hierarchy
-from farfield.rendertime.cost import object_cost
+from farfield.rendertime.cost import least_cost, object_cost
 from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import Settings
@@ -67,12 +67,12 @@ def find_problem_views(
     cell_cost = np.zeros(cells.n_cells, dtype=np.int64)
     found: list[_CellViews] = []
     worst_nonproblem = 0
-    fixed = int(model.object_fixed.sum())
+    fixed = int(least_cost(model).sum())
     stack = [node]
     while stack:
         here = stack.pop()
         leaves = slice(cells.start[here], cells.stop[here])
-        # Pixels only add to the fixed costs, so a node with more than the target in these is not worth the sum.
+        # Pixels and finer levels only add to that, so where it is above the target already the sum is not worth it.
         whole = int(object_cost(model, scene.object_box, cells.box[here]).sum()) if fixed <= model.target else fixed
         if whole <= model.target:
             cell_cost[leaves] = whole
