@@ -23,6 +23,7 @@ Box = tuple[Corner, Corner]
 class SceneSettings:
     unit_m: float | None = None  # metres per unit of the file, > 0; None: 1, or what the format says
     up: Literal["y", "z"] | None = None  # the file's up axis; None: y, or what the format says
+    split_triangles: int = 2048  # what a piece of a split mesh has at least, 16..1,000,000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +44,13 @@ class ViewSpaceSettings:
 class QualitySettings:
     pixel_error: float = 1.0  # admissible parallax, output pixels, (0, 64]
     pixels_at: Literal["centre", "anywhere"] = "centre"  # where on the screen that pixel is measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetailSettings:
+    mode: Literal["auto", "on", "off"] = (
+        "auto"  # coarser meshes for far objects; auto: where triangles are what is spent
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +112,7 @@ class Settings:
     camera: CameraSettings = field(default_factory=CameraSettings)
     view_space: ViewSpaceSettings = field(default_factory=ViewSpaceSettings)
     quality: QualitySettings = field(default_factory=QualitySettings)
+    detail: DetailSettings = field(default_factory=DetailSettings)
     visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
     placement: PlacementSettings = field(default_factory=PlacementSettings)
 
@@ -162,6 +171,7 @@ def check(settings: Settings) -> None:
             need(0 <= getattr(s.device_profile, key) <= 1e9, f"device_profile.{key}", "must be in [0, 1e9] nanoseconds")
     unit_m = s.scene.unit_m
     need(unit_m is None or (1e-9 <= unit_m <= 1e9), "scene.unit_m", "must be in [1e-9, 1e9]")
+    need(16 <= s.scene.split_triangles <= 1_000_000, "scene.split_triangles", "must be in 16..1,000,000")
     need(0 < s.camera.fov_deg <= 150, "camera.fov_deg", "must be in (0, 150] degrees")
     for key in ("width", "height"):
         need(16 <= getattr(s.camera, key) <= 16384, f"camera.{key}", "must be in 16..16384 pixels")

@@ -8,6 +8,7 @@ class Stage(StrEnum):
 
     SCENE = "scene"
     HIERARCHY = "hierarchy"
+    DETAIL = "detail"
     RENDERTIME = "rendertime"
     VISIBILITY = "visibility"
     VIEWSPACE = "viewspace"

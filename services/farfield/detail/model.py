@@ -1,6 +1,7 @@
 """The output of stage 3."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,6 +30,13 @@ class Levels:
         """(Q,) i64: triangles of each level."""
         ends = self.part_triangle[self.part]
         return ends[1:] - ends[:-1]
+
+    def of_meshes(self) -> list[list[list[np.ndarray]]]:
+        """Return for each mesh its levels, for each level the triangles (T,3) i32 of each primitive; [] without any."""
+        ends = self.part_triangle.tolist()
+        parts = [self.index[a:b] for a, b in pairwise(ends)]
+        levels = [parts[a:b] for a, b in pairwise(self.part.tolist())]
+        return [levels[a:b] for a, b in pairwise(self.row.tolist())] if levels else []
 
 
 def no_levels() -> Levels:

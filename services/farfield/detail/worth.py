@@ -9,8 +9,6 @@ Errs     towards building levels: a view's share is a bound, and what does not g
          (`build.merge` drops levels that spare less than SHARE of the triangles).
 """
 
-import numpy as np
-
 from farfield.detail.build import FEWEST, SHARE, mesh_triangles
 from farfield.detail.simplify import library
 from farfield.errors import SettingsInvalid

@@ -1,4 +1,4 @@
-"""Read the boxes of the objects in scene.glb: only what `verify` needs, and by nobody else's code.
+"""Read from scene.glb the boxes of the objects and the triangles of their levels: only what `verify` needs, in its own code.
 
 `farfield place` writes one node per object, its id in `extras.object`; positions are float32 in the binary chunk.
 """
@@ -32,6 +32,39 @@ def read_boxes(path: Path) -> dict[int, np.ndarray]:
         return _boxes(content)
     except (KeyError, IndexError, TypeError, ValueError, struct.error) as error:
         raise ColumnsAltered(path.name, f"its nodes or accessors cannot be read ({error})") from error
+
+
+def read_levels(path: Path) -> dict[int, list[int]]:
+    """Return object id -> triangles of each coarser level of its mesh, finer first; objects without any are left out.
+
+    A level is a mesh with as many primitives, on the vertices of the mesh. Raises ColumnsAltered, naming the file, and
+    what `read_boxes` raises, which comes first.
+    """
+    with path.open("rb") as file:
+        head = file.read(20)
+        text = file.read(int.from_bytes(head[12:16], "little"))
+    try:
+        return _levels(json.loads(text))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ColumnsAltered(path.name, f"its levels cannot be read ({error})") from error
+
+
+def _levels(document: dict[str, Any]) -> dict[int, list[int]]:
+    meshes, accessors = document["meshes"], document["accessors"]
+    out = {}
+    for node in document["nodes"]:
+        base = meshes[node["mesh"]] if "mesh" in node else {}
+        levels = base.get("extras", {}).get("levels", [])
+        counts = []
+        for level in levels:
+            parts = meshes[level]["primitives"]
+            for part, of in zip(parts, base["primitives"], strict=True):
+                if part["attributes"] != of["attributes"] or part["material"] != of["material"]:
+                    raise ValueError(f"mesh {level} is no level of another")
+            counts.append(sum(accessors[part["indices"]]["count"] // 3 for part in parts))
+        if counts:
+            out[int(node["extras"]["object"])] = counts
+    return out
 
 
 def _boxes(content: bytes) -> dict[int, np.ndarray]:

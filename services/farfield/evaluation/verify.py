@@ -19,7 +19,7 @@ import numpy as np
 
 from farfield.errors import ColumnsAltered
 from farfield.evaluation import kernels
-from farfield.evaluation.level import read_boxes
+from farfield.evaluation.level import read_boxes, read_levels
 from farfield.placementdb.read import Lookup, Placement
 
 BOX_TOLERANCE = 1e-9  # of the largest coordinate: what float64 loses between two orders of the same transform
@@ -31,6 +31,7 @@ def verify(folder: Path, *, views: int = 1000, seed: int = 0) -> dict[str, Any]:
     over_budget       views over the budget outside hopeless problem views; 0 in a placement that is `valid`
     over_bound        views that cost more than the bound stated for them (hopeless ones included); 0, or a defect
     outside_view_cell impostors shown to a camera outside their view cell; 0, or a defect
+    too_coarse        objects drawn at a level whose error is above the pixel error there; 0, or a defect
     worst_ratio       largest cost / budget outside hopeless views; worst_view is where
     Raises PlacementFileError where a file is missing or damaged, or scene.glb is not the level that was placed.
     """
@@ -41,7 +42,7 @@ def verify(folder: Path, *, views: int = 1000, seed: int = 0) -> dict[str, Any]:
     budget = max(int(manifest["budget"]["amount"]), 1)
     camera = Eye(placement)
     found: dict[str, Any] = {
-        "views": 0, "over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "in_problem_views": 0,
+        "views": 0, "over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "too_coarse": 0, "in_problem_views": 0,
         "in_hopeless_views": 0, "worst_ratio": 0.0, "worst_view": None, "worst_hopeless_ratio": None, "files": files,
         "budget": int(manifest["budget"]["amount"]), "unit": manifest["budget"]["unit"], "seed": seed,
         "verdict": manifest["verdict"],
@@ -55,6 +56,7 @@ def verify(folder: Path, *, views: int = 1000, seed: int = 0) -> dict[str, Any]:
         found["in_hopeless_views"] += v.hopeless
         found["over_bound"] += cost > v.cost_bound
         found["outside_view_cell"] += sum(not camera.held(i, position) for i in v.impostors)
+        found["too_coarse"] += camera.too_coarse(v, position)
         if v.hopeless:
             found["worst_hopeless_ratio"] = max(found["worst_hopeless_ratio"] or 0.0, ratio)
             continue
@@ -73,7 +75,8 @@ def merge_found(found: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     """Return one result for several calls of `verify` on the same placement (shards with different seeds)."""
     parts = list(found)
     assert parts
-    sums = ("views", "over_budget", "over_bound", "outside_view_cell", "in_problem_views", "in_hopeless_views")
+    sums = ("views", "over_budget", "over_bound", "outside_view_cell", "too_coarse", "in_problem_views",
+            "in_hopeless_views")  # fmt: skip
     hopeless = [p["worst_hopeless_ratio"] for p in parts if p["worst_hopeless_ratio"] is not None]
     worst = max(parts, key=lambda p: (p["worst_view"] is not None, p["worst_ratio"]))
     return {
@@ -84,7 +87,7 @@ def merge_found(found: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 def refuted(found: Mapping[str, Any]) -> bool:
     """Return whether a result of `verify` contradicts what the placement promises."""
-    return bool(found["over_budget"] or found["over_bound"] or found["outside_view_cell"])
+    return bool(found["over_budget"] or found["over_bound"] or found["outside_view_cell"] or found["too_coarse"])
 
 
 class Eye:
@@ -115,7 +118,7 @@ class Eye:
         share = np.empty(len(v.objects))
         kernels.boxes_share(index["object_box"], v.objects, eye, frame, share)
         drawn = share >= 0
-        cost = int(price["per_frame"]) + int(index["object_cost"][v.objects[drawn]].sum())
+        cost = int(price["per_frame"]) + self.geometry_cost(v.objects[drawn], v.levels[drawn])
         cost += len(v.impostors) * price["per_impostor"]
         cost += price["per_impostor_triangle"] * int(index["impostor_triangles"][v.impostors].sum())
         cost += price["per_pixel"] * self.pixels * math.fsum(share[drawn])
@@ -123,6 +126,26 @@ class Eye:
             shares = [kernels.polygons_share(*self.polygons(int(i)), eye, frame) for i in v.impostors]
             cost += price["per_impostor_pixel"] * self.pixels * math.fsum(shares)
         return math.ceil(cost), int(drawn.sum())
+
+    def geometry_cost(self, objects: np.ndarray, levels: np.ndarray) -> int:
+        """Return what objects (n,) cost without their pixels at levels (n,), 0 the object itself."""
+        index = self.placement.index
+        plain = levels == 0
+        cost = int(index["object_cost"][objects[plain]].sum())
+        if not plain.all():
+            cost += int(index["level_cost"][index["level_row"][objects[~plain]] + levels[~plain] - 1].sum())
+        return cost
+
+    def too_coarse(self, v: Lookup, position: np.ndarray) -> int:
+        """Return how many objects of a lookup are nearer to the position than their level allows (float64 slack)."""
+        if not v.levels.any():
+            return 0
+        index, some = self.placement.index, np.flatnonzero(v.levels)
+        box, q = index["object_box"][v.objects[some]], position - self.placement.origin_m
+        away = np.abs(q - np.clip(q, box[:, 0], box[:, 1]))
+        least = index["level_from"][index["level_row"][v.objects[some]] + v.levels[some] - 1]
+        slack = 1e-9 * (1 + float(np.abs(position).max()))
+        return int(((away**2).sum(1) < np.maximum(least - slack, 0) ** 2).sum())
 
     def polygons(self, impostor: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (corners (Q,3) f64 relative to origin_m, CSR rows) of all layers of an impostor."""
@@ -182,7 +205,7 @@ def _into(boxes: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 def check_level(placement: Placement, path: Path) -> None:
     """Refuse a scene.glb that is not the level that was placed: by digest where stated, and by its objects' boxes."""
-    boxes = read_boxes(path)
+    boxes, levels = read_boxes(path), read_levels(path)
     stated = placement.manifest.get("scene")
     with path.open("rb") as file:
         if stated and hashlib.file_digest(file, "sha256").hexdigest() != stated["sha256"]:
@@ -190,6 +213,11 @@ def check_level(placement: Placement, path: Path) -> None:
     index = placement.index["object_box"] + placement.origin_m
     if sorted(boxes) != list(range(len(index))):
         raise ColumnsAltered(path.name, f"it holds {len(boxes)} objects where the placement has {len(index)}")
+    row = placement.index.get("level_row", np.zeros(len(index) + 1, np.int64))
+    of_levels = placement.index.get("level_triangles", row)
+    for i in range(len(index)):
+        if levels.get(i, []) != of_levels[row[i] : row[i + 1]].tolist():
+            raise ColumnsAltered(path.name, f"the levels of object {i} are not those of the placement's index")
     for i, box in enumerate(index):
         slack = BOX_TOLERANCE * (1 + float(np.abs(box).max()) + float(np.abs(placement.origin_m).max()))
         if not np.allclose(boxes[i], box, rtol=0, atol=slack):

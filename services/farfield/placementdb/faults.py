@@ -40,9 +40,15 @@ def manifest_fault(manifest: dict[str, Any]) -> str | None:
 
 def index_fault(index: _Columns, manifest: dict[str, Any]) -> str | None:
     """Check shapes, ids, and that both trees are trees."""
-    fault = layout.misfit(index, layout.INDEX)
+    fault = layout.misfit(index, {**layout.INDEX, **layout.DETAIL} if "level_row" in index else layout.INDEX)
     if fault:
         return fault
+    if "level_row" in index:
+        row = index["level_row"]
+        if row[0] != 0 or row[-1] != len(index["level_from"]) or (np.diff(row) < 0).any():
+            return "the rows level_row do not cut what they should"
+    elif manifest["version"] > layout.PLAIN_VERSION:
+        return "column level_row is missing"
     count = manifest["counts"]
     for name, key in (("object_box", "objects"), ("cell_node", "cells"), ("impostor_cluster", "impostors")):
         if len(index[name]) != count[key]:

@@ -6,7 +6,8 @@ import numpy as np
 
 from farfield.impostor.weight import PAGE_TEXELS as PAGE_TEXELS
 
-FORMAT, VERSION = "farfield placement", 1
+FORMAT, VERSION = "farfield placement", 2
+PLAIN_VERSION = 1  # of a placement without levels of detail: readers of that version know all of it
 MANIFEST = "manifest.json"
 INDEX_KIND, CHUNK_KIND = "PlacementIndex", "PlacementChunk"
 NAME_DIGITS = 16  # hex digits of the SHA-256 in a file's name
@@ -32,6 +33,11 @@ INDEX: Columns = {
     "impostor_cluster": ("<i4", ("I",)), "impostor_kind": ("|u1", ("I",)), "impostor_view_cell": ("<f8", ("I", 9)),
     "impostor_bytes": ("<i8", ("I",)), "impostor_cost": ("<i8", ("I",)), "impostor_triangles": ("<i4", ("I",)),
     "impostor_layers": ("<i4", ("I",)), "impostor_chunk": ("<i4", ("I",)),
+}  # fmt: skip
+
+DETAIL: Columns = {  # of the index too, where objects have levels of detail
+    "level_row": ("<i4", ("N+1",)), "level_from": ("<f8", ("D",)), "level_cost": ("<i8", ("D",)),
+    "level_triangles": ("<i4", ("D",)),
 }  # fmt: skip
 
 CHUNK: Columns = {

@@ -47,6 +47,7 @@ class Lookup:
     problem_view: int | None
     hopeless: bool
     objects: np.ndarray  # (n,) i64  ids to draw as geometry where their box meets the view frustum, ascending
+    levels: np.ndarray  # (n,) i64  at which level to draw each of them: 0 the object itself
     impostors: np.ndarray  # (m,) i64  ids, ascending
     cost_bound: int  # of the whole frame, per_frame included, in the budget's unit
 
@@ -141,10 +142,28 @@ class Placement:
                 cost = int(chunk["view_cost"][v])
         for cluster in self.index["impostor_cluster"][impostors]:
             seen[self.index["cluster_start"][cluster] : self.index["cluster_stop"][cluster]] = False
+        objects = np.flatnonzero(seen)
         return Lookup(
-            cell=cell, interval=interval, problem_view=view, hopeless=hopeless, objects=np.flatnonzero(seen),
-            impostors=impostors, cost_bound=cost + int(self.manifest["cost_model"]["per_frame"]),
+            cell=cell, interval=interval, problem_view=view, hopeless=hopeless, objects=objects,
+            levels=self.levels_in(cell)[objects], impostors=impostors,
+            cost_bound=cost + int(self.manifest["cost_model"]["per_frame"]),
         )  # fmt: skip
+
+    def levels_in(self, cell: int) -> np.ndarray:
+        """Return (N,) i64: the level at which each object is drawn from anywhere in the cell."""
+        index = self.index
+        out = np.zeros(len(index["object_box"]), dtype=np.int64)
+        if "level_row" not in index:
+            return out
+        low, high = index["node_box"][index["cell_node"][cell]]
+        gap = np.maximum(np.maximum(index["object_box"][:, 0] - high, low - index["object_box"][:, 1]), 0.0)
+        distance = np.sqrt(gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1] + gap[:, 2] * gap[:, 2])
+        row = index["level_row"]
+        of = np.repeat(np.arange(len(out)), np.diff(row))
+        near_enough = index["level_from"] <= distance[of]
+        level = np.arange(len(of)) - row[of] + 1
+        np.maximum.at(out, of[near_enough], level[near_enough])
+        return out
 
     def find_cell(self, position: Any) -> int:
         """Return the leaf cell of a position (3, scene metres). Raises OutsideViewSpace."""

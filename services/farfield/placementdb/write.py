@@ -76,7 +76,8 @@ def build_files(
         return {"file": name, "bytes": len(content), "sha256": digest}
 
     index = _index(scene, hierarchy, model, cells, views, placement, pieces, chunks)
-    index_entry = add("index-", pack(layout.INDEX_KIND, layout.cast(index, layout.INDEX)), ".ffc")
+    table = {**layout.INDEX, **layout.DETAIL} if len(model.level_row) else layout.INDEX
+    index_entry = add("index-", pack(layout.INDEX_KIND, layout.cast(index, table)), ".ffc")
     chunk_entries = []
     for i, chunk in enumerate(chunks):
         meta = {"chunk": i, "cells": list(chunk.cells), "views": list(chunk.views)}
@@ -162,7 +163,10 @@ def _index(
         "impostor_view_cell": placement.view_cell, "impostor_bytes": placement.bytes,
         "impostor_cost": placement.cost, "impostor_triangles": triangles,
         "impostor_layers": np.diff(pieces.row), "impostor_chunk": first_chunk,
-    }  # fmt: skip
+    } | ({
+        "level_row": model.level_row, "level_from": model.level_from, "level_cost": model.level_fixed,
+        "level_triangles": model.level_triangles,
+    } if len(model.level_row) else {})  # fmt: skip
 
 
 def _counts(
@@ -183,7 +187,7 @@ def _manifest(
     low, high = scene.object_box[:, 0], scene.object_box[:, 1]
     prices = ("call", "triangle", "pixel", "impostor", "impostor_triangle", "impostor_pixel")
     return {
-        "format": layout.FORMAT, "version": layout.VERSION,
+        "format": layout.FORMAT, "version": layout.VERSION if len(model.level_row) else layout.PLAIN_VERSION,
         "units": {"length": "m", "angle": "deg", "cost": model.unit, "texture": "texel"},
         "origin_m": origin.tolist(), "view_space": (scene.view_boxes + origin).tolist(),
         "camera": {"fov_deg": model.fov_deg, "width": model.width, "height": model.height},

@@ -29,6 +29,14 @@ from farfield.settings import Settings, parse_budget
 MARGIN = 1 + 1e-9  # float64 error of bound and of any exact measure it is compared with, relative to the bound
 
 
+def prices(settings: Settings) -> tuple[float, float]:
+    """Return what a draw call and a triangle cost in the budget's unit. Raises SettingsInvalid for an unknown device."""
+    unit, profile = parse_budget(settings.budget).unit, find_profile(settings)
+    if unit == "ns":
+        return profile.per_call_ns, profile.per_triangle_ns
+    return (1.0, 0.0) if unit == "calls" else (0.0, 1.0)
+
+
 def build_cost_model(scene: Scene, levels: Levels | None = None, *, settings: Settings) -> CostModel:
     """Return what drawing the scene's objects costs, in the budget's unit.
 
@@ -40,16 +48,16 @@ def build_cost_model(scene: Scene, levels: Levels | None = None, *, settings: Se
     budget = parse_budget(settings.budget)
     profile = find_profile(settings)
     per_frame = 0
-    call = triangle = pixel = impostor = impostor_triangle = impostor_pixel = 0.0
+    call, triangle = prices(settings)
+    pixel = impostor = impostor_triangle = impostor_pixel = 0.0
     if budget.unit == "ns":
-        per_frame = profile.per_frame_ns
-        call, triangle, pixel = profile.per_call_ns, profile.per_triangle_ns, profile.per_pixel_ns
+        per_frame, pixel = profile.per_frame_ns, profile.per_pixel_ns
         impostor, impostor_triangle = profile.per_impostor_ns, profile.per_impostor_triangle_ns
         impostor_pixel = profile.per_impostor_pixel_ns
     elif budget.unit == "calls":
-        call = impostor = 1.0
+        impostor = 1.0
     else:
-        triangle = impostor_triangle = 1.0
+        impostor_triangle = 1.0
     if budget.amount < per_frame:
         raise SettingsInvalid("budget", f"an empty frame already costs {per_frame} ns on device {settings.device!r}")
     fixed = np.ceil(scene.object_calls * call + scene.object_triangles * triangle).astype(np.int64)

@@ -3,9 +3,13 @@
 Node i has `extras.object` = i, its name, and its matrix from the mesh to scene metres (origin_m included, float64).
 Shared meshes stay shared; a glTF primitive per primitive; vertex colours where they are not white, texture coordinates
 where the material has a texture; textures embedded as they are. The same scene gives the same bytes.
+
+Coarser levels of a mesh are meshes that no node names: `extras.levels` of the mesh lists them, finer first. A level has
+the mesh's primitives in their order, on the same attribute accessors, with indices of its own.
 """
 
 import json
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -18,15 +22,22 @@ _FLOAT, _USHORT, _UINT = 5126, 5123, 5125
 _ARRAY, _ELEMENT = 34962, 34963
 
 
-def write_glb(scene: Scene) -> bytes:
-    """Return the bytes of a glTF 2.0 binary file; `read_scene` returns the same scene from them."""
+# For each mesh its coarser levels, for each level the triangles (T,3) i32 of each primitive.
+MeshLevels = Sequence[Sequence[Sequence[np.ndarray]]]
+
+
+def write_glb(scene: Scene, levels: MeshLevels = ()) -> bytes:
+    """Return the bytes of a glTF 2.0 binary file; `read_scene` returns the same scene from them.
+
+    levels  of every mesh, or () for none: the same bytes as if no mesh had any
+    """
     buffer = _Buffer()
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "farfield", **({"copyright": scene.notice} if scene.notice else {})},
         "scene": 0,
         "scenes": [{"nodes": list(range(scene.n_objects))}],
         "nodes": _nodes(scene),
-        "meshes": _meshes(scene, buffer),
+        "meshes": _with_levels(scene, _meshes(scene, buffer), levels, buffer),
         "materials": _materials(scene),
     }
     if len(scene.texture_wrap):
@@ -127,6 +138,32 @@ def _meshes(scene: Scene, buffer: _Buffer) -> list[dict[str, Any]]:
         primitives.append({"attributes": attributes, "indices": indices, "material": materials[p]})
     ends = scene.mesh_primitive.tolist()
     return [{"primitives": primitives[a:b]} for a, b in pairwise(ends)]
+
+
+def _with_levels(
+    scene: Scene, meshes: list[dict[str, Any]], levels: MeshLevels, buffer: _Buffer
+) -> list[dict[str, Any]]:
+    """Return the meshes, and behind them their levels."""
+    assert len(levels) in (0, len(meshes))
+    vertex = scene.primitive_vertex.tolist()
+    coarse: list[dict[str, Any]] = []
+    data, rows = {_USHORT: bytearray(), _UINT: bytearray()}, []
+    for m, of_mesh in enumerate(levels):
+        if of_mesh:
+            meshes[m]["extras"] = {"levels": [len(meshes) + len(coarse) + k for k in range(len(of_mesh))]}
+        for parts in of_mesh:
+            primitives = []
+            for p, triangles in zip(range(*scene.mesh_primitive[m : m + 2]), parts, strict=True):
+                of = meshes[m]["primitives"][p - int(scene.mesh_primitive[m])]
+                kind = _USHORT if vertex[p + 1] - vertex[p] <= 65535 else _UINT
+                primitives.append({"attributes": of["attributes"], "material": of["material"]})
+                rows.append((primitives[-1], kind, len(data[kind]), 3 * len(triangles)))
+                data[kind] += (triangles - vertex[p]).astype("<u2" if kind == _USHORT else "<u4").tobytes()
+            coarse.append({"primitives": primitives})
+    view = {kind: buffer.add_view(memoryview(d), target=_ELEMENT) for kind, d in data.items() if d}
+    for primitive, kind, at, count in rows:
+        primitive["indices"] = buffer.add_accessor(view[kind], at, kind, "SCALAR", count)
+    return meshes + coarse
 
 
 def _materials(scene: Scene) -> list[dict[str, Any]]:
