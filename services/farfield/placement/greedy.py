@@ -12,6 +12,7 @@ After    Jeschke, Wimmer, Schumann, Purgathofer. Automatic Impostor Placement fo
          Requirements. I3D 2005, sections 5.1 to 5.5. All around the greedy loop is ours.
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -27,7 +28,7 @@ from farfield.placement.choose import Progress, choose
 from farfield.placement.curve import gather, trace
 from farfield.placement.evaluate import evaluate
 from farfield.placement.limit import Limit
-from farfield.placement.model import Placement
+from farfield.placement.model import Placement, RegionChoice
 from farfield.placement.prospects import find_prospects
 from farfield.placement.prune import keep, prune
 from farfield.placement.rescue import rescue
@@ -41,13 +42,13 @@ from farfield.viewspace.model import ProblemViews
 
 def place(
     scene: Scene | None, hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews,
-    candidates: Candidates, *, settings: Settings, among: np.ndarray | None = None, refit: Refit | None = None,
+    candidates: Candidates, *, settings: Settings, regions: Sequence[RegionChoice] = (), refit: Refit | None = None,
     progress: Progress | None = None, checkpoint: Checkpoint | None = None,
 ) -> Placement:  # fmt: skip
     """Return the chosen impostors and what each problem view shows. Raises StageFailed if its own proof fails.
 
     candidates  read only (memory maps will do); sorted by cluster, bytes > 0, saved > 0, views ascending in a row
-    among       (M,) i32 candidates to choose from, ascending, by which every view can meet its target; None: all
+    regions     what parts of the view space chose, all of them: nothing else is chosen from; none: all candidates
     refit       fits a view cell to given cells, see `tighten.Refit`; None: the candidates' own
     progress    called with a share in [0, 1] and counters, at most a few times a second
     checkpoint  where the greedy keeps its choices
@@ -62,7 +63,9 @@ def place(
     need = views.cost - prospects.target
     tell(0.1, {"hopeless": int(prospects.hopeless.sum())})
 
-    some = candidates if among is None else take(candidates, among)
+    some = candidates
+    if regions:
+        some = take(candidates, np.unique(np.concatenate([r.candidate for r in regions])))
     choice = choose(
         some, excess=np.maximum(need, 0), end=end, everywhere=policy.assignment == "all", stop=limit.over,
         checkpoint=checkpoint, progress=lambda share, counters: tell(0.1 + 0.6 * share, counters),
@@ -120,7 +123,8 @@ def place(
         view_target=prospects.target, view_best=prospects.best, hopeless=prospects.hopeless,
         culprit_row=prospects.culprit_row, culprit=prospects.culprit, smallest_budget=prospects.smallest_budget,
         curve_budget=np.array([p.budget for p in points], np.int64), curve_bytes=np.array([p.bytes for p in points], np.int64),
-        curve_over=np.array([p.over for p in points], np.int64), stopped=limit.stopped,
+        curve_over=np.array([p.over for p in points], np.int64),
+        stopped=limit.stopped or any(r.stopped for r in regions),
     )  # fmt: skip
 
 

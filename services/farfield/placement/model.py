@@ -1,4 +1,4 @@
-"""The output of stage 7."""
+"""The output of stage 7, and of its shards where the view space is optimised in regions."""
 
 from dataclasses import dataclass
 
@@ -34,3 +34,11 @@ class Placement:
     )  # (K,) i64  ... bytes that were found to suffice there (estimates, like `bytes` before `repair`) ...
     curve_over: np.ndarray  # (K,) i64  ... for all problem views but so many
     stopped: bool  # a wall-clock limit cut the search short: another run may end elsewhere
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegionChoice:
+    """What one region chose, to choose among once more."""
+
+    candidate: np.ndarray  # (M,) i32  ascending
+    stopped: bool  # as in Placement

@@ -65,6 +65,13 @@ def find_prospects(
     )  # fmt: skip
 
 
+def best_costs(candidates: Candidates, cost: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return the least that each view (V,) i64 can cost with these candidates; cost (V,) i64 is that of its geometry."""
+    row, id, saved = cheapest_offers(candidates.cluster, candidates.row, candidates.view, candidates.saved, len(cost))
+    take = np.empty(len(id), dtype=bool)
+    return cost - np.asarray(best_in_views(row, id, saved, candidates.cluster, end, take))
+
+
 def targets(cost: np.ndarray, best: np.ndarray, target: int, policy: PlacementSettings) -> np.ndarray:
     """Return what each view is to cost at most (V,) i64: `target`, or where `best` is above it what the policy says."""
     out = np.full(len(best), target, dtype=np.int64)

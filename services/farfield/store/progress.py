@@ -174,7 +174,9 @@ def _step(
         after = "running" if params else "merging"
         if _set(tx, at, after, skipped=skipped, queue=kind.queue, total=len(params)):
             if params:
-                return True, _add(tx, at, "run", params, kind.queue)
+                # Regions are pure functions that run at once; the optimizer's one lease is for who joins them.
+                apart = len(params) > 1 and kind.queue == Queue.OPTIMIZER
+                return True, _add(tx, at, "run", params, Queue.CPU if apart else kind.queue)
             return True, _add(tx, at, "merge", [None], kind.queue)
     elif at.state == "running" and len(done["run"]) == sum(s.kind == "run" for s in shards):
         if kind.merges:
