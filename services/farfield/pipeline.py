@@ -66,6 +66,7 @@ class Step:
     run: Callable[[Inputs, Shard], Parts]
     merge: Callable[[Inputs, Sequence[Any]], Parts] | None = None
     skip: Callable[[Inputs], str | None] = field(default=lambda inputs: None)
+    asks: tuple[str, ...] = ()  # more settings, that only `skip`, `plan` and `merge` look at
     timed: Callable[[Settings], bool] = field(default=lambda settings: False)  # see `shard_key`
 
 
@@ -76,7 +77,8 @@ def shard_key(step: Step, inputs: Inputs, shard: Shard) -> str:
     Where `step.timed`, a clock may end the work early: what a known key names will do, being what there was time for at
     best, but the result must not be kept under its own.
     """
-    read = {key: _setting(inputs.settings, key) for key in step.reads}
+    keys = step.reads + (step.asks if shard in ("plan", "merge") else ())
+    read = {key: _setting(inputs.settings, key) for key in keys}
     sources = [Stage.SCENE] if step.stage == Stage.SCENE else list(step.inputs)
     digests = {str(stage): inputs.digests[stage] for stage in sources}
     text = json.dumps([step.stage, step.version, read, digests, shard], sort_keys=True, separators=(",", ":"))
@@ -93,6 +95,7 @@ def _setting(settings: Settings, key: str) -> Any:
 _MODELS = {
     Stage.SCENE: ("scene", "Scene"),
     Stage.HIERARCHY: ("hierarchy", "Hierarchy"),
+    Stage.DETAIL: ("detail", "Levels"),
     Stage.RENDERTIME: ("rendertime", "CostModel"),
     Stage.VISIBILITY: ("visibility", "VisibleSets"),
     Stage.VIEWSPACE: ("viewspace", "ProblemViews"),
@@ -142,16 +145,50 @@ def _hierarchy(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(build_hierarchy(inputs.get(Stage.SCENE)))
 
 
-# 3 rendertime -------------------------------------------------------------------------------------------------------
+# 3 detail -----------------------------------------------------------------------------------------------------------
+
+
+def _detail_skip(inputs: Inputs) -> str | None:
+    from farfield.detail.worth import reason_to_skip
+    from farfield.rendertime.cost import prices
+
+    per_call, per_triangle = prices(inputs.settings)
+    return reason_to_skip(
+        inputs.get(Stage.SCENE), settings=inputs.settings, per_call=per_call, per_triangle=per_triangle
+    )
+
+
+def _detail_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.detail.build import plan_shards
+
+    return [[a, b] for a, b in plan_shards(inputs.get(Stage.SCENE))]
+
+
+def _detail(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.detail.build import build_levels
+
+    return dataclass_parts(build_levels(inputs.get(Stage.SCENE), settings=inputs.settings, meshes=(shard[0], shard[1])))
+
+
+def _detail_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.detail.build import merge
+    from farfield.detail.model import Levels
+
+    parts = [unpack_dataclass(Levels, a) for a in artifacts]
+    return dataclass_parts(merge(parts, inputs.get(Stage.SCENE), settings=inputs.settings))
+
+
+# 4 rendertime -------------------------------------------------------------------------------------------------------
 
 
 def _rendertime(inputs: Inputs, shard: Shard) -> Parts:
     from farfield.rendertime.cost import build_cost_model
 
-    return dataclass_parts(build_cost_model(inputs.get(Stage.SCENE), settings=inputs.settings))
+    scene, levels = inputs.get(Stage.SCENE), inputs.get(Stage.DETAIL)
+    return dataclass_parts(build_cost_model(scene, levels, settings=inputs.settings))
 
 
-# 4 visibility -------------------------------------------------------------------------------------------------------
+# 5 visibility -------------------------------------------------------------------------------------------------------
 
 
 def _visibility_skip(inputs: Inputs) -> str | None:
@@ -164,7 +201,7 @@ def _visibility(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
     return dataclass_parts(VisibleSets(mode="off", row=np.zeros(0, np.int64), object=np.zeros(0, np.int32)))
 
 
-# 5 viewspace --------------------------------------------------------------------------------------------------------
+# 6 viewspace --------------------------------------------------------------------------------------------------------
 
 
 def _viewspace_plan(inputs: Inputs) -> list[Shard]:
@@ -195,7 +232,7 @@ def _no_problem(inputs: Inputs) -> str | None:
     return None if len(views.cell) else "every view is within the budget: nothing to replace"
 
 
-# 6 candidates -------------------------------------------------------------------------------------------------------
+# 7 candidates -------------------------------------------------------------------------------------------------------
 
 
 def _candidates_plan(inputs: Inputs) -> list[Shard]:
@@ -221,7 +258,7 @@ def _candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
     return dataclass_parts(merge([unpack_dataclass(Candidates, a) for a in artifacts]))
 
 
-# 7 placement --------------------------------------------------------------------------------------------------------
+# 8 placement --------------------------------------------------------------------------------------------------------
 
 
 def _placement_plan(inputs: Inputs) -> list[Shard]:
@@ -268,7 +305,7 @@ def _checkpoint(inputs: Inputs) -> "Checkpoint | None":
     return Checkpoint(inputs.checkpoint) if inputs.checkpoint is not None else None
 
 
-# 8 bake -------------------------------------------------------------------------------------------------------------
+# 9 bake -------------------------------------------------------------------------------------------------------------
 
 
 def _nothing_chosen(inputs: Inputs) -> str | None:
@@ -310,7 +347,7 @@ def _repair(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(mended)
 
 
-# 9 placementdb ------------------------------------------------------------------------------------------------------
+# 10 placementdb -----------------------------------------------------------------------------------------------------
 
 
 def _placementdb(inputs: Inputs, shard: Shard) -> Parts:
@@ -318,7 +355,7 @@ def _placementdb(inputs: Inputs, shard: Shard) -> Parts:
     from farfield.scene.write import write_glb
 
     scene = inputs.get(Stage.SCENE)
-    glb = write_glb(scene)
+    glb = write_glb(scene, inputs.get(Stage.DETAIL).of_meshes())
     digests = {str(stage): inputs.digests[stage] for stage in (Stage.SCENE, Stage.HIERARCHY, Stage.BAKE, Stage.REPAIR)}
     digests["scene.glb"] = hashlib.sha256(glb).hexdigest()
     files = build_files(
@@ -329,7 +366,7 @@ def _placementdb(inputs: Inputs, shard: Shard) -> Parts:
     return files_parts({"scene.glb": glb, **{f"placement/{name}": content for name, content in files.items()}})
 
 
-# 10 evaluation ------------------------------------------------------------------------------------------------------
+# 11 evaluation ------------------------------------------------------------------------------------------------------
 
 VIEWS_A_SHARD, SHARDS = 500, 4
 
@@ -360,7 +397,7 @@ def write_files(buffer: Any, folder: Path) -> None:
         path.write_bytes(content)
 
 
-_S, _H, _R, _V = Stage.SCENE, Stage.HIERARCHY, Stage.RENDERTIME, Stage.VISIBILITY
+_S, _H, _D, _R, _V = Stage.SCENE, Stage.HIERARCHY, Stage.DETAIL, Stage.RENDERTIME, Stage.VISIBILITY
 _VIEW, _C, _P, _B = Stage.VIEWSPACE, Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE
 _CAMERA, _QUALITY = "camera", "quality"
 _CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.name != "time_limit_s")
@@ -371,8 +408,11 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.SCENE, version=1, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
              reads=("scene", "view_space.boxes", "view_space.cell_m")),
         Step(stage=Stage.HIERARCHY, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_hierarchy, reads=()),
-        Step(stage=Stage.RENDERTIME, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_rendertime,
-             reads=("budget", "device", "device_profile", _CAMERA)),
+        Step(stage=Stage.DETAIL, version=1, queue=Queue.CPU, inputs=(_S,), skip=_detail_skip, plan=_detail_plan,
+             run=_detail, merge=_detail_merge, reads=("detail", _CAMERA, _QUALITY),
+             asks=("budget", "device", "device_profile")),
+        Step(stage=Stage.RENDERTIME, version=2, queue=Queue.CPU, inputs=(_S, _D), plan=_one, run=_rendertime,
+             reads=("budget", "device", "device_profile", _CAMERA, _QUALITY)),
         Step(stage=Stage.VISIBILITY, version=1, queue=Queue.CPU, inputs=(_S, _H), skip=_visibility_skip, plan=_one,
              run=lambda inputs, shard: _visibility(inputs, ()), merge=_visibility, reads=("visibility",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,
@@ -387,7 +427,7 @@ STEPS: dict[Stage, Step] = {
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
         Step(stage=Stage.REPAIR, version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
-        Step(stage=Stage.PLACEMENTDB, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V, _VIEW, Stage.REPAIR, _B),
+        Step(stage=Stage.PLACEMENTDB, version=2, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),
         Step(stage=Stage.EVALUATION, version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=_evaluation_plan,
              run=_evaluation, merge=_evaluation_merge, reads=("seed",)),
