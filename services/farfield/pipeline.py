@@ -405,7 +405,7 @@ _CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.
 STEPS: dict[Stage, Step] = {
     step.stage: step
     for step in (
-        Step(stage=Stage.SCENE, version=1, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
+        Step(stage=Stage.SCENE, version=2, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
              reads=("scene", "view_space.boxes", "view_space.cell_m")),
         Step(stage=Stage.HIERARCHY, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_hierarchy, reads=()),
         Step(stage=Stage.DETAIL, version=1, queue=Queue.CPU, inputs=(_S,), skip=_detail_skip, plan=_detail_plan,

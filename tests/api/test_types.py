@@ -87,7 +87,7 @@ def test_the_scene_type_is_what_inspect_says(interfaces):
 
     suggestion = Suggestion(
         boxes=(((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)),), boxes_why="", cell_m=1.0, cell_why="", interval_deg=11.25,
-        interval_why="", budgets=("16 ms",), budgets_why="",
+        interval_why="", budgets=("16 ms",), budgets_why="", hints=(),
     )  # fmt: skip
     said = describe(town(), suggestion)
     _hold(interfaces, "Suggestion", said["suggested"])

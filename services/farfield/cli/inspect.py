@@ -70,8 +70,21 @@ def _show(document: dict[str, Any], name: str, console: Console) -> None:
     settings.add_row("view_space.boxes", boxes, why["view_space.boxes"])
     settings.add_row("view_space.cell_m", f"{space['cell_m']:g}", why["view_space.cell_m"])
     settings.add_row("view_space.interval_deg", f"{space['interval_deg']:g}", why["view_space.interval_deg"])
+    work = suggested["work"]
+    settings.add_row(
+        "work", f"{work['cells']:,} cells",
+        f"x {work['directions']} directions = {work['views']:,} views, at most {_time(work['seconds'])} of one core to bound "
+        "them all; what follows grows with the problem views among them",
+    )  # fmt: skip
     settings.add_row("budget", " | ".join(suggested["budgets"]), why["budgets"])
     console.print()
     console.print(settings)
     for warning in document["warnings"]:
         console.print(f"warning: {warning}", markup=False)
+
+
+def _time(seconds: float) -> str:
+    for unit, length in (("hours", 3600), ("minutes", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{seconds:.2g} s"

@@ -5,28 +5,32 @@ Cell     A 48th of the root of the focus's ground area (a 16th of the cube root 
          times farther than all others together (a sky dome, a far plain) are not part of the focus.
 Space    A band at eye height that follows the ground where there is some: in each column of the grid, from the lowest
          ground + 1.5 m to the highest + 1.8 m. Ground is the lowest surface that faces up (down, in files turned inside
-         out) and is nearly level, over at least half of the focus. Else the focus as a whole.
+         out) and is nearly level, over at least half of the convex hull of the focus's footprint (a level that stands
+         askew fills little of its box; roofs without a terrain fill little of their hull). Else the focus as a whole.
 Budget   Two fifths of the largest of 512 sampled views, by objects' spheres in the view's cone.
+Hints    Where the file does not say: a slab on its edge that has ground with z up; objects larger than any house.
 All are suggestions: `farfield inspect` and the dashboard show them with their reasons, and settings override them.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from farfield.scene import kernels
-from farfield.scene.level import Level
+from farfield.scene.level import Level, measure
 from farfield.settings import Box, Settings
 
 EYE_LOW_M, EYE_HIGH_M = 1.5, 1.8
 _STEEPEST = 0.5  # |normal y| of ground: up to 60 degrees
-_COVERED = 0.5  # share of the samples with ground below
+_COVERED = 0.5  # share of the samples in the footprint's hull with ground below
+_SLAB = 0.25  # depth over the lesser of width and height of a level that may lie on its side
 _OUTLIER = 4.0
 _SAMPLES = 4  # a column and axis
 _COLUMNS = 512  # an axis, at most
 _HUMAN_HEIGHT_M, _HUMAN_SIDE_M = 2.2, 6.0
 _VIEWS, _BUDGET_SHARE = 512, 0.4
+_HINT_OBJECTS, _HINT_TRIANGLES, _HINT_SIZE_M = 16, 100, 250.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +45,7 @@ class Suggestion:
     interval_why: str
     budgets: tuple[str, ...]
     budgets_why: str
+    hints: tuple[str, ...]  # what seems wrong with unit or axes; warnings of the scene
 
 
 def suggest(level: Level, *, settings: Settings) -> Suggestion:
@@ -70,10 +75,11 @@ def suggest(level: Level, *, settings: Settings) -> Suggestion:
         boxes = (_box(low, high),)
         boxes_why = "the whole box of the level: no ground lies under most of it"
     budgets, budgets_why = _budgets(level, boxes, settings)
+    hints = _unit_hints(level, settings) + _axis_hints(level, settings)
     return Suggestion(
         boxes=boxes, boxes_why=boxes_why, cell_m=cell_m, cell_why=cell_why, interval_deg=given.interval_deg,
         interval_why="the smallest interval of the published method; half of it gives tighter views for more work",
-        budgets=budgets, budgets_why=budgets_why,
+        budgets=budgets, budgets_why=budgets_why, hints=hints,
     )  # fmt: skip
 
 
@@ -104,16 +110,22 @@ def focus_box(box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """Sampled ground: heights (nx,nz) f64 at (x0 + i step, z0 + k step), inf where there is none."""
+    """Sampled ground: heights (nx,nz) f64 at (x0 + i step, z0 + k step), inf where there is none.
+
+    inside  (nx,2) int64: samples [k0, k1) of row i lie in the hull of the footprint
+    """
 
     height: np.ndarray
     x0: float
     z0: float
     step: float
+    inside: np.ndarray
 
     @property
     def covered(self) -> float:
-        return float(np.isfinite(self.height).mean())
+        k = np.arange(self.height.shape[1])
+        within = (k >= self.inside[:, :1]) & (k < self.inside[:, 1:])
+        return float((np.isfinite(self.height) & within).sum() / max(1, within.sum()))
 
     def columns(self, eye: tuple[float, float]) -> np.ndarray:
         """Return (B,2,3) boxes, one for each column of samples with ground, x-major."""
@@ -149,6 +161,7 @@ def sample_ground(level: Level, *, low: np.ndarray, high: np.ndarray, cell_m: fl
     floor_y = float(low[1] - (high[1] - low[1]) - cell_m)
     ends = level.mesh_triangles()
     best: Ground | None = None
+    reach = np.stack([np.full(int(shape[0]), np.inf), np.full(int(shape[0]), -np.inf)], 1)  # of z, a row
     for facing in (1.0, -1.0):
         height = np.full((int(shape[0]), int(shape[1])), np.inf)
         for o, mesh in enumerate(level.object_mesh.tolist()):
@@ -161,14 +174,45 @@ def sample_ground(level: Level, *, low: np.ndarray, high: np.ndarray, cell_m: fl
             matrix = np.ascontiguousarray(level.object_matrix[o])
             kernels.place(level.position[start:stop], matrix, placed)
             turned = -facing if np.linalg.det(matrix[:, :3]) < 0 else facing
+            if best is None:
+                kernels.row_reach(placed, low, high, x0, step, reach)
             kernels.lowest_surface(placed[index - start], turned, _STEEPEST, floor_y, x0, z0, step, height)
-        found = Ground(height, x0, z0, step)
+        inside = hull_rows(reach, z0=z0, step=step, n=int(shape[1]))
+        found = Ground(height, x0, z0, step, inside)
         if best is None or found.covered > best.covered:
             best = found
         if best.covered >= _COVERED:
             break
     assert best is not None
     return best
+
+
+def hull_rows(reach: np.ndarray, *, z0: float, step: float, n: int) -> np.ndarray:
+    """Return (nx,2) int64 [k0, k1): the samples z0 + k step, k in [0, n), in the convex hull of rows.
+
+    reach  (nx,2) f64 least and largest z of row i; inf, -inf where the row has no point
+    """
+    rows = np.flatnonzero(reach[:, 0] <= reach[:, 1])
+    out = np.zeros((len(reach), 2), dtype=np.int64)
+    if not len(rows):
+        return out
+    x = np.arange(len(reach), dtype=np.float64)
+    ends = []
+    for sign, z in ((1.0, reach[rows, 0]), (-1.0, reach[rows, 1])):
+        chain: list[tuple[float, float]] = []  # lower hull of (row, sign z)
+        for p in zip(rows.tolist(), (sign * z).tolist(), strict=True):
+            while len(chain) > 1 and _turns_right(chain[-2], chain[-1], p):
+                chain.pop()
+            chain.append(p)
+        ends.append(sign * np.interp(x, *np.array(chain).T))
+    inner = slice(rows[0], rows[-1] + 1)
+    out[inner, 0] = np.ceil(np.clip((ends[0][inner] - z0) / step, 0, n))
+    out[inner, 1] = np.floor(np.clip((ends[1][inner] - z0) / step, -1, n - 1)) + 1
+    return out
+
+
+def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) <= 0
 
 
 def merged_columns(columns: np.ndarray) -> tuple[Box, ...]:
@@ -197,6 +241,41 @@ def _ground(level: Level, low: np.ndarray, high: np.ndarray, cell_m: float) -> G
         return None
     ground = sample_ground(level, low=low, high=high, cell_m=cell_m)
     return ground if ground.covered >= _COVERED else None
+
+
+def _unit_hints(level: Level, settings: Settings) -> tuple[str, ...]:
+    if settings.scene.unit_m is not None or len(level.object_box) < _HINT_OBJECTS:
+        return ()
+    side = level.object_box[:, 1] - level.object_box[:, 0]
+    middle = float(np.median(np.sqrt((side * side).sum(1))))
+    if middle <= _HINT_SIZE_M:
+        return ()
+    return (
+        f"Half of the objects are larger than {middle:.4g} m. If the file is not in metres, set scene.unit_m: "
+        "0.001 for millimetres, 0.01 for centimetres.",
+    )
+
+
+def _axis_hints(level: Level, settings: Settings) -> tuple[str, ...]:
+    """Return a hint where the level is a slab that stands on its edge, with ground below it if z is up."""
+    low, high = focus_box(level.object_box)
+    width, height, depth = (high - low).tolist()
+    few = object_counts(level)[1].sum() < _HINT_TRIANGLES
+    if few or settings.scene.up is not None or depth > _SLAB * min(width, height):
+        return ()
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    turned = replace(level, object_matrix=(turn[:, :, None] * level.object_matrix[:, None]).sum(2))
+    measure(turned)
+    low, high = focus_box(turned.object_box)
+    ground = _ground(
+        turned, low, high, _nice(max(math.sqrt(_area(low, high)) / 48, float((high - low).max()) / _COLUMNS))
+    )
+    if ground is None:
+        return ()
+    return (
+        f"The level is {height:.4g} m high and only {depth:.4g} m deep, and ground lies under {ground.covered:.0%} of it "
+        'if z is up: if it lies on its side, set scene.up = "z".',
+    )
 
 
 def _eye(low: np.ndarray, high: np.ndarray) -> tuple[tuple[float, float], str]:

@@ -1,12 +1,16 @@
 """Scene -> one JSON document: what `farfield inspect --json` prints and the dashboard shows before a job starts."""
 
+import math
 from typing import Any
 
 import numpy as np
 
+from farfield.geometry.cells import build_cells
 from farfield.scene.derive import Suggestion
 from farfield.scene.model import BLEND, MASK, Scene
 
+# Of one core, measured on seven scenes of 18 to 4,800 objects: a view is bounded against every object in the worst case.
+VIEW_S, VIEW_OBJECT_S = 5e-6, 2.5e-8
 _MODES = {BLEND: "blend", MASK: "mask"}
 
 
@@ -50,6 +54,7 @@ def describe(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
                 "cell_m": suggestion.cell_m,
                 "interval_deg": suggestion.interval_deg,
             },
+            "work": _work(scene, suggestion),
             "budgets": list(suggestion.budgets),
             "why": {
                 "view_space.boxes": suggestion.boxes_why,
@@ -59,3 +64,14 @@ def describe(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
             },
         },
     }
+
+
+def _work(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
+    """Return how many cells and views there are, and at most how many seconds of one core it takes to bound them."""
+    cells = build_cells(scene.view_boxes, scene.cell_m).n_cells
+    directions = 6 * round(90 / suggestion.interval_deg) ** 2
+    seconds = cells * directions * (VIEW_S + VIEW_OBJECT_S * scene.n_objects)
+    return {
+        "cells": cells, "directions": directions, "views": cells * directions,
+        "seconds": round(seconds, 1 - math.floor(math.log10(max(seconds, 0.1)))),
+    }  # fmt: skip

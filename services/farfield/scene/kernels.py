@@ -63,6 +63,17 @@ def place(position, matrix, out):
 
 
 @njit(cache=True)
+def row_reach(point, low, high, x0, step, reach):
+    """Widen reach (nx,2), least and largest z a row, by the points (V,3) f64 in the rectangle from low to high."""
+    for i in range(len(point)):
+        x, z = point[i, 0], point[i, 2]
+        if x >= low[0] and x <= high[0] and z >= low[2] and z <= high[2]:
+            row = min(max(int(np.floor((x - x0) / step + 0.5)), 0), len(reach) - 1)
+            reach[row, 0] = min(reach[row, 0], z)
+            reach[row, 1] = max(reach[row, 1], z)
+
+
+@njit(cache=True)
 def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height):
     """Lower `height` (nx,nz) to the lowest surface over each sample point.
 
@@ -98,3 +109,87 @@ def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height):
                     y = ay + s * uy + r * vy
                     if y >= floor_y and y < height[i, k]:
                         height[i, k] = y
+
+
+@njit(cache=True)
+def corner_vertices(index, missing, face_side, corner):
+    """Give each corner its own vertex where faces of different sides meet; return (source (V',), side (V',) of each).
+
+    index      (T,3) old vertices
+    missing    (V,) b1: vertices that take the side of the face
+    face_side  (T,) i32 > 0, of faces that have such a corner
+    corner     (T,3) out: new vertices, in order of old vertex and side; unused ones have none
+    """
+    n = len(missing)
+    start, used = np.zeros(n + 1, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+    for t in range(len(index)):
+        for k in range(3):
+            v = index[t, k]
+            if missing[v]:
+                start[v + 1] += 1
+            else:
+                used[v] = True
+    for v in range(n):
+        start[v + 1] += start[v]
+    sides, cursor = np.empty(start[n], dtype=np.int32), start[:-1].copy()
+    for t in range(len(index)):
+        for k in range(3):
+            v = index[t, k]
+            if missing[v]:
+                sides[cursor[v]] = face_side[t]
+                cursor[v] += 1
+    first = np.empty(n + 1, dtype=np.int64)
+    first[0] = 0
+    for v in range(n):
+        distinct = int(used[v])
+        if start[v + 1] > start[v]:
+            here = sides[start[v] : start[v + 1]]
+            here.sort()
+            for i in range(len(here)):
+                if i == 0 or here[i] != here[i - 1]:
+                    here[distinct] = here[i]
+                    distinct += 1
+        first[v + 1] = first[v] + distinct
+    source, side = np.empty(first[n], dtype=np.int64), np.zeros(first[n], dtype=np.int32)
+    for v in range(n):
+        for i in range(first[v], first[v + 1]):
+            source[i] = v
+            if missing[v]:
+                side[i] = sides[start[v] + i - first[v]]
+    for t in range(len(index)):
+        for k in range(3):
+            v = index[t, k]
+            at = first[v]
+            if missing[v]:
+                at += np.searchsorted(sides[start[v] : start[v] + first[v + 1] - at], face_side[t])
+            corner[t, k] = at
+    return source, side
+
+
+@njit(cache=True)
+def own_vertices(index, triangle, primitive_triangle, n_vertices, corner, primitive_vertex):
+    """Give each primitive its own vertices, in the order of the old ones; return source (V',), the old vertex of each.
+
+    Primitive p is triangle[p] .. of index (T,3); corner (T',3) and primitive_vertex (P+1,) are out.
+    """
+    source = np.empty(3 * len(triangle), dtype=np.int64)
+    owner, number = np.full(n_vertices, -1, dtype=np.int32), np.empty(n_vertices, dtype=np.int64)
+    at = 0
+    primitive_vertex[0] = 0
+    for p in range(len(primitive_triangle) - 1):
+        first = at
+        for i in range(primitive_triangle[p], primitive_triangle[p + 1]):
+            for k in range(3):
+                v = index[triangle[i], k]
+                if owner[v] != p:
+                    owner[v] = p
+                    source[at] = v
+                    at += 1
+        source[first:at].sort()
+        for i in range(first, at):
+            number[source[i]] = i
+        for i in range(primitive_triangle[p], primitive_triangle[p + 1]):
+            for k in range(3):
+                corner[i, k] = number[index[triangle[i], k]]
+        primitive_vertex[p + 1] = at
+    return source[:at].copy()

@@ -61,7 +61,8 @@ def inspect_scene(
     if n_cells > limits.cells:
         why = f"cells of {suggestion.cell_m:g} m would be about {n_cells:.3g}; at most {limits.cells} are allowed"
         raise SettingsInvalid("view_space.cell_m", why)
-    split_level(level, cell_m=suggestion.cell_m)
+    level.warnings += suggestion.hints
+    split_level(level, cell_m=suggestion.cell_m, min_triangles=settings.scene.split_triangles)
     return _finish(level, suggestion), suggestion
 
 

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from farfield.errors import SettingsInvalid
 from farfield.geometry.cells import build_cells, find_cell
-from farfield.scene.derive import focus_box, merged_columns
+from farfield.scene.derive import focus_box, hull_rows, merged_columns
+from farfield.scene.describe import describe
 from farfield.scene.read import inspect_scene
-from farfield.settings import Settings, ViewSpaceSettings
+from farfield.settings import SceneSettings, Settings, ViewSpaceSettings
 from levels import BOX_CORNERS, BOX_FACES, Gltf
 
 
@@ -100,6 +101,93 @@ def test_a_sky_dome_is_not_the_focus():
     sky = np.array([[[-5000, -200, -5000], [5000, 5000, 5000]]], dtype=float)
     low, high = focus_box(np.concatenate([sky, town, sky * 30]))
     np.testing.assert_array_equal([low, high], [[0, 0, 0], [95, 8, 95]])
+
+
+def test_a_level_that_stands_askew_has_its_ground_all_the_same(tmp_path):
+    """A strip of 600 x 60 m at 30 degrees fills a seventh of its box."""
+    level = Gltf()
+    corners = np.array([[-300, 0, -30], [300, 0, -30], [300, 0, 30], [-300, 0, 30]], np.float32)
+    turn = [0, np.sin(np.pi / 12), 0, np.cos(np.pi / 12)]
+    level.node(mesh=level.mesh(level.primitive(corners, np.array([0, 2, 1, 0, 3, 2], np.uint16))), rotation=turn)
+    house = level.mesh(level.primitive(BOX_CORNERS, BOX_FACES))
+    for i in range(40):
+        level.node(mesh=house, translation=[(i - 20) * 12.0, 0, -(i - 20) * 7.0], scale=[6, 9, 6])
+    _, found = read(tmp_path, level)
+    assert "ground, which lies under" in found.boxes_why
+    assert len(found.boxes) > 5
+
+
+def test_roofs_without_a_terrain_are_no_ground(tmp_path):
+    level = Gltf()
+    house = level.mesh(level.primitive(BOX_CORNERS, BOX_FACES))
+    for x in range(8):
+        for z in range(8):
+            level.node(mesh=house, translation=[30.0 * x, 0, 30.0 * z], scale=[12, 9, 12])
+    _, found = read(tmp_path, level)
+    assert "whole box" in found.boxes_why
+
+
+def test_hull_rows_hold_what_a_hull_holds():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        n = int(rng.integers(3, 40))
+        points = np.stack([rng.integers(0, 30, n), rng.uniform(-5, 25, n)], 1)
+        reach = np.stack([np.full(30, np.inf), np.full(30, -np.inf)], 1)
+        for row, z in points:
+            reach[int(row)] = [min(reach[int(row), 0], z), max(reach[int(row), 1], z)]
+        inside = hull_rows(reach, z0=-10.0, step=0.5, n=80)
+        for i in range(30):
+            for k in range(80):
+                p = np.array([i, -10.0 + 0.5 * k])
+                assert (inside[i, 0] <= k < inside[i, 1]) == _in_hull(p, points), (i, k)
+
+
+def _in_hull(p, points):
+    """No line through p has all points strictly on one side."""
+    angle = np.arctan2(points[:, 1] - p[1], points[:, 0] - p[0])
+    if (points == p).all(1).any():
+        return True
+    turned = np.sort(angle)
+    gaps = np.diff(np.append(turned, turned[0] + 2 * np.pi))
+    return bool(gaps.max() <= np.pi + 1e-9)
+
+
+def side_by_side(scale=1.0, up="y"):
+    """Forty houses on a plain of 400 m, in other units, or lying on its side."""
+    level = ground_and_houses(400.0)
+    for node in level.document["nodes"]:
+        node["name"] = node.get("name", "")
+    half = np.sqrt(0.5)
+    root = {"children": list(range(len(level.document["nodes"]))), "scale": [scale] * 3}
+    if up == "z":  # y up is turned to z up
+        root["rotation"] = [half, 0, 0, half]
+    level.document["scenes"][0]["nodes"] = []
+    level.node(**root)
+    return level
+
+
+def test_a_level_in_millimetres_or_on_its_side_is_hinted_at(tmp_path):
+    s, found = read(tmp_path, side_by_side())
+    assert found.hints == () and s.warnings == ()
+    s, _ = read(tmp_path, side_by_side(scale=1000.0))
+    assert any("set scene.unit_m: 0.001 for millimetres" in w for w in s.warnings)
+    s, _ = read(tmp_path, side_by_side(up="z"))
+    assert any('set scene.up = "z"' in w and "deep" in w for w in s.warnings)
+    for scale, up in ((1000.0, "y"), (1.0, "z")):
+        (tmp_path / "b.glb").write_bytes(side_by_side(scale=scale, up=up).glb())
+        right = Settings(scene=SceneSettings(unit_m=1 / scale, up=up))
+        s, mended = inspect_scene(tmp_path / "b.glb", settings=right)
+        assert s.warnings == ()
+        assert "band 1.5 to 1.8 m above the ground" in mended.boxes_why
+        assert mended.cell_m == 8.0
+
+
+def test_inspect_says_how_much_work_there_is(tmp_path):
+    s, found = read(tmp_path, ground_and_houses(512.0))
+    work = describe(s, found)["suggested"]["work"]
+    assert work["cells"] == build_cells(s.view_boxes, s.cell_m).n_cells
+    assert work["views"] == work["cells"] * 384
+    assert work["seconds"] == pytest.approx(work["views"] * (5e-6 + 41 * 2.5e-8), rel=0.05)
 
 
 def test_columns_of_equal_height_are_joined():

@@ -2,16 +2,19 @@ import numpy as np
 import pytest
 from farfield.scene.model import BLEND
 from farfield.scene.read import read_scene
-from farfield.scene.split import MIN_TRIANGLES
 from farfield.scene.write import write_glb
-from farfield.settings import Settings, ViewSpaceSettings
+from farfield.settings import SceneSettings, Settings, ViewSpaceSettings
 from levels import BOX_CORNERS, BOX_FACES, Gltf
 
 CELL_M = 16.0
+MIN_TRIANGLES = SceneSettings().split_triangles
 
 
-def read(path, cell_m=CELL_M, boxes=None):
-    return read_scene(path, settings=Settings(view_space=ViewSpaceSettings(cell_m=cell_m, boxes=boxes)))
+def read(path, cell_m=CELL_M, boxes=None, least=MIN_TRIANGLES):
+    settings = Settings(
+        view_space=ViewSpaceSettings(cell_m=cell_m, boxes=boxes), scene=SceneSettings(split_triangles=least)
+    )
+    return read_scene(path, settings=settings)
 
 
 def terrain(n, side_m, *, seed=0):
@@ -129,3 +132,73 @@ def test_an_instance_that_is_split_leaves_the_others_alone(tmp_path):
     by = dict(zip(s.object_name, s.object_mesh.tolist(), strict=True))
     assert by["model"] == by["copy"]
     assert sum(n.startswith("giant [") for n in s.object_name) >= 2
+
+
+def test_instances_that_are_split_share_their_pieces(tmp_path):
+    level = Gltf()
+    mesh = level.mesh(level.primitive(*terrain(70, 60.0)))
+    for i in range(50):
+        turn = [0, np.sin(i), 0, np.cos(i)]
+        level.node(name=f"hill {i}", mesh=mesh, translation=[70.0 * i, 0, 3.0 * i], rotation=turn)
+    level.node(name="model", mesh=mesh, scale=[0.1, 0.1, 0.1], translation=[0, 20, 0])
+    (tmp_path / "a.glb").write_bytes(level.glb())
+    s = read(tmp_path / "a.glb")
+    whole = read(tmp_path / "a.glb", cell_m=1000.0)
+    kinds = {n.rpartition(" [")[2]: set() for n in s.object_name}
+    for name, m in zip(s.object_name, s.object_mesh.tolist()):
+        kinds[name.rpartition(" [")[2]].add(m)
+    assert len(kinds) > 2
+    assert all(len(meshes) == 1 for meshes in kinds.values()), "each piece is one mesh, however many instances"
+    assert len(s.index) == 2 * len(whole.index), "the whole is kept for the small one, and its pieces once"
+    np.testing.assert_array_equal(placed_triangles(s), placed_triangles(whole))
+    assert len(write_glb(s)) < 2.2 * len(write_glb(whole))
+    (tmp_path / "b.glb").write_bytes(write_glb(s))
+    again = read(tmp_path / "b.glb")
+    assert again.object_name == s.object_name
+    assert sum("hill" in w for w in s.warnings) == 16 and any("34 more objects" in w for w in s.warnings)
+
+
+def test_thousands_of_instances_stay_instances(tmp_path):
+    level = Gltf()
+    mesh = level.mesh(level.primitive(*terrain(25, 5.0)))
+    rng = np.random.default_rng(0)
+    for i, (x, z) in enumerate(rng.uniform(-400, 400, (4000, 2)).tolist()):
+        level.node(name=f"tree {i}", mesh=mesh, translation=[x, 0, z])
+    (tmp_path / "a.glb").write_bytes(level.glb())
+    s = read(tmp_path / "a.glb")
+    assert s.n_objects == 4000 and len(s.mesh_primitive) == 2 and len(s.index) == 1250
+    assert s.object_triangles.sum() == 5_000_000
+    assert len(write_glb(s)) < 4000 * 400 + 100_000
+
+
+def test_a_level_in_one_mesh_comes_apart_where_it_is_near(tmp_path):
+    """A soup without shared vertices, as a power plant's: pipes and thousands of small parts, one material, one node."""
+    rng = np.random.default_rng(3)
+    parts = rng.uniform(-60, 60, (3000, 3)) * [1, 0.3, 1]
+    corner = np.concatenate([BOX_CORNERS[BOX_FACES].reshape(-1, 3) * rng.uniform(0.2, 2, 3) + p for p in parts])
+    pipes = np.concatenate(
+        [
+            BOX_CORNERS[BOX_FACES].reshape(-1, 3) * [120, 0.3, 0.3] + [-60, y, z]
+            for y, z in rng.uniform(-18, 18, (40, 2))
+        ]
+    )
+    position = np.concatenate([corner, pipes]).astype(np.float32)
+    level = Gltf()
+    index = np.arange(len(position), dtype=np.uint32).reshape(-1, 3)
+    level.node(name="plant", mesh=level.mesh(level.primitive(position, index)))
+    (tmp_path / "a.glb").write_bytes(level.glb())
+    space = (((-50.0, 0.0, -50.0), (50.0, 2.0, 50.0)),)
+    coarse, fine = (
+        read(tmp_path / "a.glb", cell_m=4.0, boxes=space),
+        read(tmp_path / "a.glb", cell_m=4.0, boxes=space, least=128),
+    )
+    assert 8 < coarse.n_objects < 30 < 80 < fine.n_objects < 400
+    for s in (coarse, fine):
+        assert s.object_triangles.sum() == len(index)
+        side = (s.object_box[:, 1] - s.object_box[:, 0]).max(1)
+        large = s.object_triangles[side > 100].sum()
+        assert large <= 2 * 12 * 40, "the pipes stay in inner nodes, and take nothing small with them"
+        assert any("'plant' is" in w for w in s.warnings)
+    # A piece may only be large where the level holds few triangles: 128 of them lie within 25 m here.
+    side = (fine.object_box[:, 1] - fine.object_box[:, 0]).max(1)
+    assert np.median(side) < 30

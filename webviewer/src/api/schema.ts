@@ -6,6 +6,10 @@ export interface CameraSettings {
   height?: number;
 }
 
+export interface DetailSettings {
+  mode?: "auto" | "on" | "off";
+}
+
 export interface DeviceProfile {
   per_frame_ns: number;
   per_call_ns: number;
@@ -100,6 +104,7 @@ export interface SamplesRequest {
 export interface SceneSettings {
   unit_m?: number | null;
   up?: "y" | "z" | null;
+  split_triangles?: number;
 }
 
 export interface Settings {
@@ -111,11 +116,12 @@ export interface Settings {
   camera?: CameraSettings;
   view_space?: ViewSpaceSettings;
   quality?: QualitySettings;
+  detail?: DetailSettings;
   visibility?: VisibilitySettings;
   placement?: PlacementSettings;
 }
 
-export type Stage = "scene" | "hierarchy" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "placementdb" | "evaluation";
+export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "placementdb" | "evaluation";
 
 export interface Target {
   /** the page to open */
@@ -129,7 +135,9 @@ export interface ViewSpaceSettings {
 }
 
 export interface VisibilitySettings {
-  mode?: "off";
+  mode?: "auto" | "sampled" | "conservative" | "off";
+  missed_ppm?: number;
+  rays?: number;
 }
 
 /** Every route; the client names no other. */

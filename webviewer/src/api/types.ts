@@ -144,6 +144,7 @@ export interface Scene {
 
 export interface Suggestion {
   view_space: { boxes: Box[]; cell_m: number; interval_deg: number };
+  work: { cells: number; directions: number; views: number; seconds: number };
   budgets: string[];
   why: Record<string, string>;
 }
