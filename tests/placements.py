@@ -106,7 +106,7 @@ def layered(scene: Scene, hierarchy: Hierarchy, clusters: np.ndarray, wide: bool
 
 def made_up(
     *, n_objects: int = 24, n_impostors: int = 9, budget: int = 20, per_frame: int = 3, share: float = 0.02,
-    visible: bool = False, wide: bool = True, seed: int = 0, view_boxes: np.ndarray | None = None,
+    visible: bool = False, detail: bool = False, wide: bool = True, seed: int = 0, view_boxes: np.ndarray | None = None,
     origin_m: tuple[float, float, float] = (160.0, 0.0, -320.0), cell_m: float = 16.0,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the arguments of `build_files` by name, for a budget in calls.
@@ -124,6 +124,8 @@ def made_up(
         per_impostor=1.0, per_impostor_triangle=0.0, per_impostor_pixel=0.0, object_fixed=scene.object_calls.copy(),
         fov_deg=45.0, width=1280, height=720,
     )  # fmt: skip
+    if detail:
+        model = replace(model, **some_levels(scene))
     cells = build_cells(scene.view_boxes, cell_m)
     pairs = rng.random((cells.n_cells, N_INTERVALS)) < share
     pairs[cells.n_cells // 3 : cells.n_cells // 2] &= share >= 1  # some cells without any
@@ -167,6 +169,18 @@ def made_up(
         "scene": scene, "hierarchy": hierarchy, "model": model, "cells": cells, "visible": sets, "views": views,
         "placement": placement, "baked": baked, "settings": Settings(budget=f"{budget} calls"),
         "digests": {"scene": "00" * 32, "scene.glb": "11" * 32}, "lighting": LIGHTING, "threads": 1,
+    }  # fmt: skip
+
+
+def some_levels(scene: Scene) -> dict[str, np.ndarray]:
+    """Return columns of CostModel: up to three levels an object, from distances within the town, 12 / 2^k triangles."""
+    rng = np.random.default_rng(17)
+    count = rng.integers(0, 4, scene.n_objects)
+    row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    level = np.concatenate([np.arange(1, n + 1) for n in count])
+    return {
+        "level_row": row, "level_from": np.concatenate([np.sort(rng.uniform(0, 80, n)) for n in count]),
+        "level_fixed": np.ones(row[-1], np.int64), "level_triangles": 12 >> level,
     }  # fmt: skip
 
 

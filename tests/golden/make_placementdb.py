@@ -1,4 +1,4 @@
-"""Write tests/golden/placementdb and placementdb-visible:
+"""Write tests/golden/placementdb, placementdb-visible and placementdb-detail:
 
     PYTHONPATH=tests .venv/bin/python tests/golden/make_placementdb.py
 
@@ -6,8 +6,8 @@ Run it after a change of the format (raise VERSION in farfield/placementdb/layou
 expected answers come from tests/naive/placementdb.py, not from either reader.
 
     manifest.json, index-*, chunks/, pages/    a placement database
-    lookups.json    "lookups": [{position, direction, cell, interval, problem_view, hopeless, objects, impostors,
-                    cost_bound}], "outside": [positions to refuse], "bad_directions": [directions to refuse]
+    lookups.json    "lookups": [{position, direction, cell, interval, problem_view, hopeless, objects, levels,
+                    impostors, cost_bound}], "outside": [positions to refuse], "bad_directions": [directions to refuse]
 """
 
 import json
@@ -31,6 +31,9 @@ GOLDEN: dict[str, dict[str, Any]] = {
     "placementdb-visible": {
         "n_objects": 17, "n_impostors": 6, "budget": 16, "view_boxes": BOXES, "visible": True, "wide": False, "seed": 5,
         "origin_m": (1e6 + 0.1, 5.3, -2e6 - 0.7),
+    },
+    "placementdb-detail": {
+        "n_objects": 20, "n_impostors": 5, "budget": 18, "view_boxes": BOXES, "detail": True, "wide": False, "seed": 8,
     },
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """The slow, obvious answer of a lookup, from the arrays that went into `build_files`; and the slow mip levels."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -63,12 +64,25 @@ def lookup(made: dict[str, Any], position: Any, direction: Any) -> dict[str, Any
     seen = range(made["scene"].n_objects)
     if visible.row.size:
         seen = visible.object[visible.row[cell] : visible.row[cell + 1]].tolist()
+    objects = [o for o in seen if o not in replaced]
     cost = views.worst_nonproblem if view is None else int(placement.view_cost[view])
     return {
         "cell": cell, "interval": interval, "problem_view": view, "impostors": shown,
         "hopeless": bool(view is not None and placement.hopeless[view]),
-        "objects": [o for o in seen if o not in replaced], "cost_bound": cost + made["model"].per_frame,
+        "objects": objects, "levels": [level_of(made, cell, o) for o in objects],
+        "cost_bound": cost + made["model"].per_frame,
     }  # fmt: skip
+
+
+def level_of(made: dict[str, Any], cell: int, o: int) -> int:
+    """Return the coarsest level of object o whose distance the cell keeps, by looking at all of them."""
+    model, (low, high) = made["model"], made["cells"].cell_box[cell]
+    if not len(model.level_row):
+        return 0
+    box = made["scene"].object_box[o]
+    away = [max(box[0, k] - high[k], low[k] - box[1, k], 0.0) for k in range(3)]
+    far = model.level_from[model.level_row[o] : model.level_row[o + 1]].tolist()
+    return max((k + 1 for k, least in enumerate(far) if math.hypot(*away) >= least), default=0)
 
 
 def to_linear(byte: float) -> float:

@@ -26,11 +26,11 @@ def answer(placement: Placement, position: Any, direction: Any) -> dict[str, Any
     v = placement.lookup(position, direction)
     return {
         "cell": v.cell, "interval": v.interval, "problem_view": v.problem_view, "hopeless": v.hopeless,
-        "objects": v.objects.tolist(), "impostors": v.impostors.tolist(), "cost_bound": v.cost_bound,
+        "objects": v.objects.tolist(), "levels": v.levels.tolist(), "impostors": v.impostors.tolist(), "cost_bound": v.cost_bound,
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["placementdb", "placementdb-visible"])
+@pytest.mark.parametrize("name", ["placementdb", "placementdb-visible", "placementdb-detail"])
 def test_golden_lookups_are_answered(name: str) -> None:
     placement = Placement.open(GOLDEN / name)
     questions = json.loads((GOLDEN / name / "lookups.json").read_text())
@@ -51,7 +51,9 @@ def test_lookups_agree_with_the_arrays_that_were_written(seed: int, tmp_path: Pa
     size = rng.uniform(10, 90, (3, 3)) * [1, 0.1, 1]
     low = np.round(rng.uniform(-80, 60, (3, 3)), 1)
     boxes = np.stack([low, low + np.round(size)], axis=1)
-    made = made_up(view_boxes=boxes, visible=bool(seed % 2), seed=seed, n_impostors=7, wide=False, share=0.05)
+    made = made_up(
+        view_boxes=boxes, visible=bool(seed % 2), detail=seed > 1, seed=seed, n_impostors=7, wide=False, share=0.05
+    )
     placement = Placement.open(save(build_files(**made), tmp_path))
     public = boxes + made["scene"].origin_m
     for _ in range(150):

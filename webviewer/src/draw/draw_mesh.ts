@@ -2,12 +2,14 @@
  * The level's geometry: `scene.glb` through three.js, one mesh per primitive, drawn object by object as the selection says.
  *
  * three.js neither culls (it would by spheres and draw more than was counted) nor updates matrices: objects are static.
+ * A level of detail is another geometry on the same vertices: an object's meshes take the one of the level they are drawn at.
  */
 import * as THREE from "three";
-import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { GLTFLoader, type GLTF } from "three/addons/loaders/GLTFLoader.js";
 import fragmentSource from "../shaders/mesh.fragment.glsl?raw";
 import vertexSource from "../shaders/mesh.vertex.glsl?raw";
 import type { DrawStats } from "./draw_impostor_layers";
+import type { Selection } from "../select/select";
 import type { View } from "./view";
 
 export type Lighting = Record<"sun_direction" | "sun" | "sky" | "ground", [number, number, number]>;
@@ -25,6 +27,34 @@ export function readLighting(stated: Record<string, unknown> | null): Lighting {
   return known ? (stated as Lighting) : DEFAULT_LIGHTING;
 }
 
+/** Geometries of each object, level and mesh: `extras.levels` of a glTF mesh names the meshes that are its levels. */
+async function readLevels(gltf: GLTF, meshes: THREE.Mesh[][]): Promise<THREE.BufferGeometry[][][]> {
+  const { parser } = gltf;
+  const definitions = parser.json.meshes as { extras?: { levels?: number[] } }[];
+  const known = new Map<number, Promise<THREE.BufferGeometry[][]>>();
+  const levelsOf = async (mesh: number): Promise<THREE.BufferGeometry[][]> => {
+    const levels = definitions[mesh]?.extras?.levels ?? [];
+    return Promise.all(levels.map(async (level) => geometriesOf((await parser.getDependency("mesh", level)) as THREE.Object3D)));
+  };
+  return Promise.all(
+    meshes.map(async (list) => {
+      const mesh = parser.associations.get(list[0])?.meshes ?? -1;
+      if (!known.has(mesh)) known.set(mesh, levelsOf(mesh));
+      const levels = [list.map((m) => m.geometry), ...(await known.get(mesh)!)];
+      if (levels.some((level) => level.length !== list.length)) throw new Error("scene.glb has a level of detail that is no level of its mesh.");
+      return levels;
+    }),
+  );
+}
+
+function geometriesOf(node: THREE.Object3D): THREE.BufferGeometry[] {
+  const out: THREE.BufferGeometry[] = [];
+  node.traverse((n) => {
+    if ((n as THREE.Mesh).isMesh) out.push((n as THREE.Mesh).geometry);
+  });
+  return out;
+}
+
 export class LevelMesh {
   readonly renderer: THREE.WebGLRenderer;
   notice = "";
@@ -34,6 +64,7 @@ export class LevelMesh {
   private readonly shared: Record<string, THREE.IUniform>;
   private readonly materials = new Map<THREE.Material, THREE.ShaderMaterial>();
   private meshes: THREE.Mesh[][] = [];
+  private geometries: THREE.BufferGeometry[][][] = []; // of each object: of each level: of each mesh
   private readonly drawn: THREE.Object3D[] = [];
 
   constructor(canvas: HTMLCanvasElement, gl: WebGL2RenderingContext, lighting: Lighting) {
@@ -56,8 +87,8 @@ export class LevelMesh {
     return this.meshes.length > 0;
   }
 
-  /** Parses a GLB whose nodes carry `extras.object`; throws if it lacks one of the n objects. */
-  async load(glb: ArrayBuffer, n: number): Promise<void> {
+  /** Parses a GLB whose nodes carry `extras.object`; throws if it lacks one of the n objects or of its levels (CSR). */
+  async load(glb: ArrayBuffer, n: number, levelRow: Int32Array): Promise<void> {
     const gltf = await new GLTFLoader().parseAsync(glb, "");
     this.notice = String((gltf.asset as { copyright?: string }).copyright ?? "");
     const meshes: THREE.Mesh[][] = Array.from({ length: n }, () => []);
@@ -80,17 +111,24 @@ export class LevelMesh {
       mesh.matrixWorldAutoUpdate = false;
       mesh.children = [];
     }
+    this.geometries = await readLevels(gltf, meshes);
+    const bare = this.geometries.findIndex((levels, o) => levels.length - 1 < (levelRow[o + 1] ?? 0) - (levelRow[o] ?? 0));
+    if (bare >= 0) throw new Error(`scene.glb does not belong to this placement: object ${bare} lacks levels of detail.`);
     this.meshes = meshes;
   }
 
-  /** Draws the objects into the current viewport and scissor of the renderer. */
-  draw(view: View, objects: Int32Array, n: number, stats: DrawStats): void {
+  /** Draws the selected objects into the current viewport and scissor of the renderer. */
+  draw(view: View, { objects, nObjects: n, levels }: Selection, stats: DrawStats): void {
     this.setCamera(view);
     this.mode.value = view.mode;
     let k = 0;
     for (let i = 0; i < n; i++) {
       const list = this.meshes[objects[i]];
-      for (let j = 0; j < list.length; j++) this.drawn[k++] = list[j];
+      const geometry = this.geometries[objects[i]][levels[objects[i]]];
+      for (let j = 0; j < list.length; j++) {
+        list[j].geometry = geometry[j];
+        this.drawn[k++] = list[j];
+      }
     }
     this.drawn.length = k;
     this.renderer.info.reset();

@@ -30,6 +30,11 @@ export interface PlacementIndex {
   impostorTriangles: Int32Array;
   impostorLayers: Int32Array;
   impostorChunk: Int32Array;
+  // Coarser levels of object o: rows [levelRow[o], levelRow[o+1]). All empty where no object has any.
+  levelRow: Int32Array;
+  levelFrom: Float64Array; // least distance from a cell, metres
+  levelCost: Float64Array;
+  levelTriangles: Int32Array;
 }
 
 export function readIndex(bytes: Uint8Array, where: string, manifest: Manifest): PlacementIndex {
@@ -37,6 +42,8 @@ export function readIndex(bytes: Uint8Array, where: string, manifest: Manifest):
   if (container.kind !== "PlacementIndex") throw new ColumnsAltered(where, `it holds ${container.kind}, not PlacementIndex`);
   const r = new ColumnReader(container, where);
   const { nodes: K, cells: L, objects: N, clusters: C, impostors: I } = manifest.counts;
+  const detailed = r.length("level_row") > 0;
+  if (!detailed && manifest.version > 1) throw new ColumnsAltered(where, "column level_row is not there");
   const index: PlacementIndex = {
     nodeAxis: r.i1("node_axis", K),
     nodePlane: r.f8("node_plane", K),
@@ -64,6 +71,10 @@ export function readIndex(bytes: Uint8Array, where: string, manifest: Manifest):
     impostorTriangles: r.i4("impostor_triangles", I),
     impostorLayers: r.i4("impostor_layers", I),
     impostorChunk: r.ids("impostor_chunk", r.i4("impostor_chunk", I), -1, manifest.chunks.length),
+    levelRow: detailed ? r.rows("level_row", r.i4("level_row", N + 1), r.length("level_from")) : new Int32Array(0),
+    levelFrom: detailed ? r.f8("level_from", null) : new Float64Array(0),
+    levelCost: detailed ? r.i8("level_cost", r.length("level_from")) : new Float64Array(0),
+    levelTriangles: detailed ? r.i4("level_triangles", r.length("level_from")) : new Int32Array(0),
   };
   // Preorder: a child follows its parent, so that no walk down the tree can loop.
   for (let k = 0; k < K; k++) {

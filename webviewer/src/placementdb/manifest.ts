@@ -2,7 +2,7 @@
 import { ColumnsAltered, ColumnsTooNew, ColumnsTruncated, NotColumns } from "./errors";
 import { sha256 } from "./sha256";
 
-export const MANIFEST_VERSION = 1;
+export const MANIFEST_VERSION = 2; // 1: without levels of detail
 
 export type Vec3 = [number, number, number];
 export type Box = [Vec3, Vec3];
@@ -77,7 +77,7 @@ export async function readManifest(bytes: Uint8Array, where: string): Promise<Ma
   try {
     parsed = JSON.parse(text);
   } catch {
-    if (text.startsWith("{") && !text.trimEnd().endsWith("}")) throw new ColumnsTruncated(where, bytes.length, bytes.length + 1);
+    if (text.startsWith("{") && !text.endsWith("}\n")) throw new ColumnsTruncated(where, bytes.length, bytes.length + 1);
     throw new ColumnsAltered(where, "it is not JSON");
   }
   const m = parsed as Manifest;

@@ -7,7 +7,7 @@ import { Placement, type FetchBytes } from "./placement";
 import { sha256, sha256Plain } from "./sha256";
 
 const GOLDEN = resolve(import.meta.dirname, "../../../tests/golden");
-const TREES = ["placementdb", "placementdb-visible"];
+const TREES = ["placementdb", "placementdb-visible", "placementdb-detail"];
 
 type Change = (name: string, bytes: Uint8Array) => Uint8Array | null;
 
@@ -35,7 +35,7 @@ describe.each(TREES)("%s", (tree) => {
     expect(golden.lookups.length).toBeGreaterThan(20);
     for (const g of golden.lookups) {
       const a = await placement.lookup(g.position, g.direction);
-      expect({ ...g, ...{ cell: a.cell, interval: a.interval, problem_view: a.problemView, hopeless: a.hopeless, objects: a.objects, impostors: a.impostors, cost_bound: a.costBound } }).toEqual(g);
+      expect({ ...g, ...{ cell: a.cell, interval: a.interval, problem_view: a.problemView, hopeless: a.hopeless, objects: a.objects, levels: a.levels, impostors: a.impostors, cost_bound: a.costBound } }).toEqual(g);
     }
   });
 
@@ -81,7 +81,7 @@ describe.each(TREES)("%s", (tree) => {
       return Placement.open(reads(tree, (n, b) => (n === "manifest.json" ? changed : b)));
     };
     await open(() => {});
-    await expect(open((m) => (m.version = 2))).rejects.toMatchObject({ code: "ColumnsTooNew", message: expect.stringContaining("version 2") });
+    await expect(open((m) => (m.version = 3))).rejects.toMatchObject({ code: "ColumnsTooNew", message: expect.stringContaining("version 2") });
     await expect(open((m) => (m.format = "other"))).rejects.toMatchObject({ code: "NotColumns" });
     await expect(open((m) => (m.index.file = "../secret"))).rejects.toMatchObject({ code: "ColumnsAltered" });
     await expect(open((m) => (m.chunks[0].cells = [5, 1e9]))).rejects.toMatchObject({ code: "ColumnsAltered" });

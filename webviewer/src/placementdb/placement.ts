@@ -5,6 +5,7 @@
  */
 import { findCell } from "../select/cells";
 import { findInterval } from "../select/intervals";
+import { setLevels } from "../select/levels";
 import { readChunk, type PlacementChunk } from "./chunk";
 import { ColumnsAltered, ColumnsTruncated, DirectionInvalid, OutsideViewSpace, PlacementFileMissing } from "./errors";
 import { readIndex, type PlacementIndex } from "./index_file";
@@ -22,6 +23,7 @@ export interface Lookup {
   hopeless: boolean;
   impostors: number[];
   objects: number[];
+  levels: number[]; // of each of the objects: 0 itself, else a coarser level
   costBound: number;
 }
 
@@ -134,6 +136,9 @@ function describe(p: Placement, cell: number, interval: number, chunk: Placement
     covered.fill(1, index.clusterStart[cluster], index.clusterStop[cluster]);
   }
   const visible = visibleOfCell(chunk, cell) ?? Int32Array.from(covered.keys());
+  const objects = Array.from(visible).filter((o) => !covered[o]);
+  const levels = new Uint8Array(manifest.counts.objects);
+  setLevels(index, cell, levels);
   const bound = chunk && view >= 0 ? chunk.viewCost[view] : manifest.worst_nonproblem;
   return {
     cell,
@@ -141,7 +146,8 @@ function describe(p: Placement, cell: number, interval: number, chunk: Placement
     problemView: chunk && view >= 0 ? chunk.views[0] + view : null,
     hopeless: chunk !== null && view >= 0 && chunk.viewHopeless[view] !== 0,
     impostors,
-    objects: Array.from(visible).filter((o) => !covered[o]),
+    objects,
+    levels: objects.map((o) => levels[o]),
     costBound: manifest.cost_model.per_frame + bound,
   };
 }

@@ -1,12 +1,13 @@
 /**
  * What a frame draws: the cell's visible objects whose box meets the view pyramid, less those an impostor of the problem
- * view covers, plus those impostors; and what that costs by the manifest's cost model.
+ * view covers, plus those impostors; and what that costs by the manifest's cost model, each object at its cell's level.
  *
  * Only impostors that are resident cover anything: until their pages are here their objects are drawn as geometry.
  */
 import type { PlacementChunk } from "../placementdb/chunk";
 import type { PlacementIndex } from "../placementdb/index_file";
 import type { CostModel, Manifest } from "../placementdb/manifest";
+import { costAt, setLevels, trianglesAt } from "./levels";
 import { boxInside, boxMeets, type Frustum } from "./frustum";
 import { boxPixels, polygonPixels } from "./pixels";
 
@@ -14,6 +15,7 @@ import { boxPixels, polygonPixels } from "./pixels";
 export interface Selection {
   objects: Int32Array; // ids to draw as geometry: the first nObjects entries
   nObjects: number;
+  levels: Uint8Array; // by object id, not by entry: at which level to draw it, 0 the object itself
   calls: number;
   triangles: number;
   cost: number; // per_frame included
@@ -34,6 +36,7 @@ export class Selector {
   private readonly model: CostModel;
   private readonly width: number;
   private readonly height: number;
+  private cell = -1;
   private chunk: PlacementChunk | null = null;
   private shown: readonly number[] = [];
 
@@ -46,14 +49,16 @@ export class Selector {
     this.mask = new Uint8Array(n).fill(SEEN);
     this.stack = new Int32Array(2 * index.clusterStart.length + 2);
     this.selection = {
-      objects: new Int32Array(n), nObjects: 0, calls: 0, triangles: 0, cost: 0,
+      objects: new Int32Array(n), nObjects: 0, levels: new Uint8Array(n), calls: 0, triangles: 0, cost: 0,
       geometryObjects: 0, geometryTriangles: 0, geometryCost: 0,
     };
   }
 
   /** Called when cell, interval or residency change. `shown` are local impostors of the chunk; null visible: all. */
-  setView(visible: Int32Array | null, chunk: PlacementChunk | null, shown: readonly number[]): void {
+  setView(cell: number, visible: Int32Array | null, chunk: PlacementChunk | null, shown: readonly number[]): void {
     const { mask, index } = this;
+    if (cell !== this.cell) setLevels(index, cell, this.selection.levels);
+    this.cell = cell;
     mask.fill(visible ? HIDDEN : SEEN);
     if (visible) for (let k = 0; k < visible.length; k++) mask[visible[k]] = SEEN;
     this.chunk = chunk;
@@ -99,15 +104,17 @@ export class Selector {
   private add(o: number, frustum: Frustum): void {
     const s = this.selection;
     const { per_pixel } = this.model;
-    let cost = this.index.objectCost[o];
+    const level = s.levels[o];
+    const triangles = trianglesAt(this.index, o, level);
+    let cost = costAt(this.index, o, level);
     if (per_pixel > 0) cost += Math.ceil(per_pixel * boxPixels(frustum, this.index.objectBox, 6 * o, this.width, this.height));
     s.geometryObjects++;
-    s.geometryTriangles += this.index.objectTriangles[o];
+    s.geometryTriangles += triangles;
     s.geometryCost += cost;
     if (this.mask[o] !== SEEN) return;
     s.objects[s.nObjects++] = o;
     s.calls += this.index.objectCalls[o];
-    s.triangles += this.index.objectTriangles[o];
+    s.triangles += triangles;
     s.cost += cost;
   }
 

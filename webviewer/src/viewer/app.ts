@@ -1,5 +1,6 @@
 /** The running viewer: one frame after another, drawn only when something has changed. */
 import { clampToBoxes } from "../select/clamp";
+import { trianglesAt } from "../select/levels";
 import type { Placement } from "../placementdb/placement";
 import type { Vec3 } from "../placementdb/manifest";
 import { LOOK_AHEAD_S } from "../stream/plan";
@@ -209,8 +210,9 @@ export class App {
       far += Math.max(index.clusterBox[6 * cluster + a] - p, p - index.clusterBox[6 * cluster + 3 + a], 0) ** 2;
     }
     let triangles = 0;
-    for (let o = index.clusterStart[cluster]; o < index.clusterStop[cluster]; o++) triangles += index.objectTriangles[o];
-    this.overlay.writePicked(id, index, Math.sqrt(far), triangles);
+    const { levels } = this.engine.selection;
+    for (let o = index.clusterStart[cluster]; o < index.clusterStop[cluster]; o++) triangles += trianglesAt(index, o, levels[o]);
+    this.overlay.writePicked(id, index, levels, Math.sqrt(far), triangles);
   }
 
   private key(key: string): boolean {

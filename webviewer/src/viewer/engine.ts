@@ -114,8 +114,8 @@ export class Engine {
     for (const page of s.needed) this.pages.touch(page);
     const shown = this.modes.impostors ? s.shown : [];
     const visible = s.cell < 0 ? null : visibleOfCell(chunk, s.cell);
-    this.selector.setView(visible, chunk, shown);
-    this.geometry.setView(visible, null, []);
+    this.selector.setView(s.cell, visible, chunk, shown);
+    this.geometry.setView(s.cell, visible, null, []);
     this.layers.setShown(chunk && shown.length ? this.buffersOf(chunk) : null, shown);
     return true;
   }
@@ -216,7 +216,7 @@ export class Engine {
     renderer.setViewport(0, 0, width, height);
     renderer.setScissorTest(scissor !== null);
     if (scissor) renderer.setScissor(...scissor);
-    if (level.ready) level.draw(view, selection.objects, selection.nObjects, this.drawn);
+    if (level.ready) level.draw(view, selection, this.drawn);
   }
 
   private pagesOf(chunk: PlacementChunk): ChunkPages {

@@ -67,7 +67,7 @@ async function loadGeometry(base: string, traffic: Traffic, placement: Placement
   if (stated && (await sha256(glb)) !== stated) throw new ColumnsAltered(name, "its SHA-256 is not the one in the manifest");
   progress("Preparing geometry", `${placement.manifest.counts.objects} objects`, 1);
   await new Promise((resolve) => setTimeout(resolve));
-  await engine.level.load(glb.buffer as ArrayBuffer, placement.manifest.counts.objects);
+  await engine.level.load(glb.buffer as ArrayBuffer, placement.manifest.counts.objects, placement.index.levelRow);
 }
 
 function progress(title: string, text: string, share: number): void {

@@ -2,6 +2,7 @@
 import type { PlacementIndex } from "../placementdb/index_file";
 import type { Manifest } from "../placementdb/manifest";
 import { intervalName } from "../select/intervals";
+import { costAt } from "../select/levels";
 import type { Traffic } from "../stream/files";
 import type { Streamer } from "../stream/streamer";
 import { byId, setShown, setText } from "../ui/dom";
@@ -154,12 +155,12 @@ export class Overlay {
     byId("around-marker").setAttribute("d", `M${x - 4} 2h8l-4 6zM${x - 0.4} 6h.8v60h-.8z`);
   }
 
-  writePicked(id: number, index: PlacementIndex, distanceM: number, triangles: number): void {
+  writePicked(id: number, index: PlacementIndex, levels: Uint8Array, distanceM: number, triangles: number): void {
     const { budget } = this.manifest;
     const cluster = index.impostorCluster[id];
     const [a, b] = [index.clusterStart[cluster], index.clusterStop[cluster]];
     let saved = -index.impostorCost[id];
-    for (let o = a; o < b; o++) saved += index.objectCost[o];
+    for (let o = a; o < b; o++) saved += costAt(index, o, levels[o]);
     setText("picked-id", `#${count(id)}`);
     setText("picked-far", `${distanceM.toFixed(0)} m away`);
     setText("picked-replaces", `${count(b - a)} objects, ${count(triangles)} triangles`);

@@ -36,7 +36,7 @@ export class Panorama {
       const azimuth = (2 * Math.PI * k) / DIRECTIONS;
       const d: Vec3 = [Math.sin(azimuth) * Math.cos(pitch), Math.sin(pitch), -Math.cos(azimuth) * Math.cos(pitch)];
       const view = chunk ? viewInChunk(chunk, cell, findInterval(manifest.interval_edges, d)) : -1;
-      if (view !== last) this.selector.setView(visible, chunk, view < 0 ? [] : Array.from(impostorsOfView(chunk!, view)));
+      if (view !== last) this.selector.setView(cell, visible, chunk, view < 0 ? [] : Array.from(impostorsOfView(chunk!, view)));
       last = view;
       setFrustum(this.frustum, cameraFrame(position, d), fov_deg, width / height);
       for (let a = 0; a < 3; a++) this.frustum.eye[a] = position[a] - manifest.origin_m[a];
