@@ -49,7 +49,10 @@ class Suggestion:
 
 
 def suggest(level: Level, *, settings: Settings) -> Suggestion:
-    """Return view space, cell, interval and budgets for a level; what `settings` fix shapes what is left open."""
+    """Return view space, cell and interval for a level; what `settings` fix shapes what is left open.
+
+    Budgets are left empty: they count objects, and these are final only when the level is split (`suggest_budgets`).
+    """
     low, high = focus_box(level.object_box)
     given = settings.view_space
     floor_cell_m = _nice(max(math.sqrt(_area(low, high)) / 48, float((high - low).max()) / _COLUMNS))
@@ -74,12 +77,11 @@ def suggest(level: Level, *, settings: Settings) -> Suggestion:
     else:
         boxes = (_box(low, high),)
         boxes_why = "the whole box of the level: no ground lies under most of it"
-    budgets, budgets_why = _budgets(level, boxes, settings)
     hints = _unit_hints(level, settings) + _axis_hints(level, settings)
     return Suggestion(
         boxes=boxes, boxes_why=boxes_why, cell_m=cell_m, cell_why=cell_why, interval_deg=given.interval_deg,
         interval_why="the smallest interval of the published method; half of it gives tighter views for more work",
-        budgets=budgets, budgets_why=budgets_why, hints=hints,
+        budgets=(), budgets_why="", hints=hints,
     )  # fmt: skip
 
 
@@ -287,6 +289,12 @@ def _eye(low: np.ndarray, high: np.ndarray) -> tuple[tuple[float, float], str]:
         EYE_LOW_M * scale,
         EYE_HIGH_M * scale,
     ), "; the level is too small for a person, so this is a tenth of its height"
+
+
+def suggest_budgets(found: Suggestion, level: Level, *, settings: Settings) -> Suggestion:
+    """Return `found` with budgets for the level as it is drawn: after it was split."""
+    budgets, why = _budgets(level, found.boxes, settings)
+    return replace(found, budgets=budgets, budgets_why=why)
 
 
 def _budgets(level: Level, boxes: tuple[Box, ...], settings: Settings) -> tuple[tuple[str, ...], str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from farfield.errors import SceneFileMissing, SceneOverLimit, SceneUnreadable, SettingsInvalid
 from farfield.geometry.cells import cells_about
-from farfield.scene.derive import Suggestion, grid_origin, object_counts, suggest
+from farfield.scene.derive import Suggestion, grid_origin, object_counts, suggest, suggest_budgets
 from farfield.scene.files import Folder, SceneFiles, Zip
 from farfield.scene.gltf import read_gltf
 from farfield.scene.level import TRIANGLE_BYTES, VERTEX_BYTES, Level, build_level, measure, repack
@@ -63,6 +63,7 @@ def inspect_scene(
         raise SettingsInvalid("view_space.cell_m", why)
     level.warnings += suggestion.hints
     split_level(level, cell_m=suggestion.cell_m, min_triangles=settings.scene.split_triangles)
+    suggestion = suggest_budgets(suggestion, level, settings=settings)
     return _finish(level, suggestion), suggestion
 
 

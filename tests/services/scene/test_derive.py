@@ -182,6 +182,18 @@ def test_a_level_in_millimetres_or_on_its_side_is_hinted_at(tmp_path):
         assert mended.cell_m == 8.0
 
 
+def test_budgets_are_those_of_the_level_as_it_is_drawn(tmp_path):
+    """A city in one mesh is no budget of one call: it is split first."""
+    level = Gltf()
+    rng = np.random.default_rng(0)
+    parts = np.concatenate([BOX_CORNERS[BOX_FACES].reshape(-1, 3) * 9 + p for p in rng.uniform(-300, 300, (2000, 3))])
+    index = np.arange(len(parts), dtype=np.uint32).reshape(-1, 3)
+    level.node(name="city", mesh=level.mesh(level.primitive(parts, index)))
+    s, found = read(tmp_path, level, cell_m=16.0)
+    calls, triangles = (int(b.split()[0]) for b in found.budgets[:2])
+    assert 1 < calls < s.n_objects and triangles < 0.4 * s.object_triangles.sum() + 1
+
+
 def test_inspect_says_how_much_work_there_is(tmp_path):
     s, found = read(tmp_path, ground_and_houses(512.0))
     work = describe(s, found)["suggested"]["work"]
