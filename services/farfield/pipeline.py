@@ -412,7 +412,7 @@ STEPS: dict[Stage, Step] = {
              run=_detail, merge=_detail_merge, reads=("detail", _CAMERA, _QUALITY),
              asks=("budget", "device", "device_profile")),
         Step(stage=Stage.RENDERTIME, version=2, queue=Queue.CPU, inputs=(_S, _D), plan=_one, run=_rendertime,
-             reads=("budget", "device", "device_profile", _CAMERA, _QUALITY)),
+             reads=("budget", "device", "device_profile", _CAMERA)),
         Step(stage=Stage.VISIBILITY, version=1, queue=Queue.CPU, inputs=(_S, _H), skip=_visibility_skip, plan=_one,
              run=lambda inputs, shard: _visibility(inputs, ()), merge=_visibility, reads=("visibility",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,

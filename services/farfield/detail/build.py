@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from farfield.detail.distances import from_distance, stretch
+from farfield.detail.distances import sight, stretch
 from farfield.detail.error import surface_distance
 from farfield.detail.model import Levels, no_levels
 from farfield.detail.simplify import Primitive
@@ -50,7 +50,7 @@ def usable_error(scene: Scene, settings: Settings) -> np.ndarray:
     box = scene.object_box
     gap = np.maximum(np.maximum(box[:, 0] - low, high - box[:, 1]), 0.0)  # to the corner of the view space farthest off
     reach = np.sqrt(gap[:, 0] ** 2 + gap[:, 1] ** 2 + gap[:, 2] ** 2)
-    per_error = from_distance(stretch(scene.object_matrix), settings)
+    per_error = stretch(scene.object_matrix) * sight(settings)
     usable = np.zeros(len(scene.mesh_primitive) - 1)
     np.maximum.at(usable, scene.object_mesh, reach / per_error)
     return usable
@@ -64,7 +64,8 @@ def build_levels(scene: Scene, *, settings: Settings, meshes: tuple[int, int]) -
     levels = [level for of_mesh in found for level in of_mesh]
     parts = [part for _, of_level in levels for part in of_level]
     return Levels(
-        row=_row([len(of_mesh) for of_mesh in found]), error_m=np.array([e for e, _ in levels], dtype=np.float64),
+        sight=sight(settings), row=_row([len(of_mesh) for of_mesh in found]),
+        error_m=np.array([e for e, _ in levels], dtype=np.float64),
         part=_row([len(of_level) for _, of_level in levels]), part_triangle=_row([len(part) for part in parts]),
         index=np.concatenate([np.zeros((0, 3), np.int32), *parts]),
     )  # fmt: skip
@@ -79,7 +80,7 @@ def merge(parts: Sequence[Levels], scene: Scene, *, settings: Settings) -> Level
         return no_levels()
     join = lambda name: _row(np.concatenate([np.diff(getattr(p, name)) for p in parts]))  # noqa: E731
     levels = Levels(
-        row=join("row"), error_m=np.concatenate([p.error_m for p in parts]), part=join("part"),
+        sight=parts[0].sight, row=join("row"), error_m=np.concatenate([p.error_m for p in parts]), part=join("part"),
         part_triangle=join("part_triangle"), index=np.concatenate([p.index for p in parts]),
     )  # fmt: skip
     least = mesh_triangles(scene)

@@ -42,9 +42,9 @@ def stretch(matrix: np.ndarray) -> np.ndarray:
     return np.sqrt(size * power) * ROUNDING
 
 
-def from_distance(error_m: np.ndarray, settings: Settings) -> np.ndarray:
-    """Return the least distances (metres) from which errors (metres, as placed) are within the pixel error."""
-    return np.asarray(error_m, dtype=np.float64) * (math.hypot(1 / precision(settings).dl, 0.5) * ROUNDING)
+def sight(settings: Settings) -> float:
+    """Return the least distance from which an error of 1, both as placed, is within the pixel error."""
+    return math.hypot(1 / precision(settings).dl, 0.5) * ROUNDING
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ class Levels:
     are the primitive's own, so that neighbours meet without gaps whatever their levels. Skipped: all empty.
     """
 
+    sight: float  # metres of distance a metre of error takes to be within the pixel error; 0 without levels
     row: np.ndarray  # (M+1,) i64, or (0,) without levels
     error_m: np.ndarray  # (Q,) f64  no point of either surface is farther from the other, mesh-local
     part: np.ndarray  # (Q+1,) i64  level q has parts [part[q], part[q+1])
@@ -43,6 +44,6 @@ def no_levels() -> Levels:
     """Return what a skipped stage hands on: every mesh is drawn as it is."""
     none = np.zeros(0, np.int64)
     return Levels(
-        row=none, error_m=np.zeros(0), part=np.zeros(1, np.int64), part_triangle=np.zeros(1, np.int64),
+        sight=0.0, row=none, error_m=np.zeros(0), part=np.zeros(1, np.int64), part_triangle=np.zeros(1, np.int64),
         index=np.zeros((0, 3), np.int32),
     )  # fmt: skip

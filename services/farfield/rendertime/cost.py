@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from farfield.detail.distances import from_distance, stretch
+from farfield.detail.distances import stretch
 from farfield.detail.model import Levels
 from farfield.errors import SettingsInvalid
 from farfield.rendertime import kernels
@@ -66,13 +66,11 @@ def build_cost_model(scene: Scene, levels: Levels | None = None, *, settings: Se
         per_pixel=pixel, per_impostor=impostor, per_impostor_triangle=impostor_triangle,
         per_impostor_pixel=impostor_pixel, object_fixed=fixed, fov_deg=settings.camera.fov_deg,
         width=settings.camera.width, height=settings.camera.height,
-        **_level_columns(scene, levels, call=call, triangle=triangle, settings=settings),
+        **_level_columns(scene, levels, call=call, triangle=triangle),
     )  # fmt: skip
 
 
-def _level_columns(
-    scene: Scene, levels: Levels | None, *, call: float, triangle: float, settings: Settings
-) -> dict[str, np.ndarray]:
+def _level_columns(scene: Scene, levels: Levels | None, *, call: float, triangle: float) -> dict[str, np.ndarray]:
     """Return CostModel's columns of levels, an entry for each level of each object's mesh."""
     if levels is None or not levels.n_levels:
         return {}
@@ -82,7 +80,7 @@ def _level_columns(
     level = first[of] + np.arange(row[-1]) - row[of]
     triangles = levels.triangles[level]
     return {
-        "level_row": row, "level_from": from_distance(levels.error_m[level] * stretch(scene.object_matrix)[of], settings),
+        "level_row": row, "level_from": levels.error_m[level] * (stretch(scene.object_matrix) * levels.sight)[of],
         "level_fixed": np.ceil(scene.object_calls[of] * call + triangles * triangle).astype(np.int64),
         "level_triangles": triangles,
     }  # fmt: skip
