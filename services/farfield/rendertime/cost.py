@@ -102,11 +102,14 @@ def screen(model: CostModel) -> np.ndarray:
     ], dtype=np.float64)  # fmt: skip
 
 
-def object_cost(model: CostModel, boxes: np.ndarray, cell_box: np.ndarray) -> np.ndarray:
-    """Return (N,) i64, in `model.unit`: the most that each object costs in any view from the cell, at its level there.
+def object_cost(
+    model: CostModel, boxes: np.ndarray, cell_box: np.ndarray, *, objects: np.ndarray | None = None
+) -> np.ndarray:
+    """Return (K,) i64, in `model.unit`: the most that each object costs in any view from the cell, at its level there.
 
     boxes     (N,2,3) f64, the model's objects, same frame and unit of length as cell_box
     cell_box  (2,3) f64
+    objects   (K,) i32 which of them; all if left out
 
     Covered pixels of one concrete view are: the part of the box inside the view pyramid (apex at the eye, no near or
     far plane), projected to the screen, and of that the area of the bounding rectangle along the screen's axes, in
@@ -116,9 +119,11 @@ def object_cost(model: CostModel, boxes: np.ndarray, cell_box: np.ndarray) -> np
     boxes = np.ascontiguousarray(boxes, dtype=np.float64).reshape(-1, 2, 3)
     cell_box = np.ascontiguousarray(cell_box, dtype=np.float64).reshape(2, 3)
     assert len(boxes) == len(model.object_fixed)
-    out = np.empty(len(boxes), dtype=np.int64)
+    if objects is None:
+        objects = np.arange(len(boxes), dtype=np.int32)
+    out = np.empty(len(objects), dtype=np.int64)
     kernels.object_costs(
-        model.object_fixed, model.level_row, model.level_from, model.level_fixed, boxes, cell_box, model.per_pixel,
+        objects, model.object_fixed, model.level_row, model.level_from, model.level_fixed, boxes, cell_box, model.per_pixel,
         screen(model), out,
     )  # fmt: skip
     return out

@@ -91,12 +91,13 @@ def covered_pixels(boxes, cell, screen, out):
 
 
 @njit(cache=True)
-def object_costs(fixed, level_row, level_from, level_fixed, boxes, cell, per_pixel, screen, out):
-    for i in range(len(boxes)):
-        out[i] = fixed[i]
+def object_costs(objects, fixed, level_row, level_from, level_fixed, boxes, cell, per_pixel, screen, out):
+    for k in range(len(objects)):
+        i = objects[k]
+        out[k] = fixed[i]
         if len(level_row) > 0:
             level = level_of(i, gap(boxes[i], cell), level_row, level_from)
             if level > 0:
-                out[i] = level_fixed[level_row[i] + level - 1]
+                out[k] = level_fixed[level_row[i] + level - 1]
         if per_pixel > 0:
-            out[i] += np.int64(math.ceil(per_pixel * pixels_from(boxes[i], cell, screen)))
+            out[k] += np.int64(math.ceil(per_pixel * pixels_from(boxes[i], cell, screen)))

@@ -28,7 +28,7 @@ def seen_from(boxes, cell, box):
 def descend(box, cost, n_first, lists, normals, row, pad, n, target, out_view, out_object):
     """Descend the six quadtrees of one cell; return (views, entries, worst, worst within target).
 
-    lists[0, :n_first] are the objects looked at, ascending; lists (levels + 2, N) i32 is scratch. Interval by interval,
+    box (7,N), cost (N,) are of n_first objects; lists (levels + 2, N) i32 is scratch, its first row 0 .. n_first. Interval by interval,
     depth first: out_view (6 n^2, 4) i64 gets interval, cost and the range of out_object with the accepted objects.
     Entries beyond the length of out_object are counted, not written.
     """
@@ -83,32 +83,31 @@ def descend(box, cost, n_first, lists, normals, row, pad, n, target, out_view, o
 
 
 @njit(cache=True)
-def count_runs(views, entries, position):
-    """Return how many runs of consecutive positions the entries of `views` (V,4) make. position (N,) of each object."""
+def count_runs(views, entries):
+    """Return how many runs of consecutive places the entries of `views` (V,4) make."""
     total = 0
     for v in range(len(views)):
         last = -2
         for e in range(views[v, 2], views[v, 3]):
-            p = position[entries[e]]
-            total += p != last + 1
-            last = p
+            total += entries[e] != last + 1
+            last = entries[e]
     return total
 
 
 @njit(cache=True)
-def gather(views, entries, position, cost, row, run, before):
+def gather(views, entries, cost, row, run, before):
     """Fill row (V+1,), run (R,2) and before (R,) from the entries of `views`, already in order."""
     at = 0
     for v in range(len(views)):
         last = -2
         running = 0
         for e in range(views[v, 2], views[v, 3]):
-            p = position[entries[e]]
+            p = entries[e]
             if p != last + 1:
                 run[at, 0], before[at] = p, running
                 at += 1
             run[at - 1, 1] = p + 1
-            running += cost[entries[e]]
+            running += cost[p]
             last = p
         row[v + 1] = at
 

@@ -123,21 +123,22 @@ class _Search:
         self.lists = np.empty((self.n.bit_length() + 1, n_objects), dtype=np.int32)
         self.views = np.empty((6 * self.n * self.n, 4), dtype=np.int64)
         self.entries = np.empty(16 * n_objects, dtype=np.int32)
-        self.position = np.empty(n_objects, dtype=np.int32)
+        self.everything = np.arange(n_objects, dtype=np.int32)
 
     def cell(self, cell: int, box: np.ndarray) -> tuple["_CellViews | None", int, int]:
         """Return the cell's problem views if any, the worst bound where the descent stopped, the worst within target."""
-        cost = object_cost(self.model, self.boxes, box)
-        if self.visible.mode == "off":
-            first = np.arange(len(cost), dtype=np.int32)
-        else:
+        # Only what the cell sees is looked at; places in that list stand for its objects.
+        everything = self.visible.mode == "off"
+        first = self.everything
+        if not everything:
             first = self.visible.object[self.visible.row[cell] : self.visible.row[cell + 1]]
-        whole = int(cost[first].sum())
+        cost = object_cost(self.model, self.boxes, box, objects=first)
+        whole = int(cost.sum())
         if whole <= self.model.target:
             return None, whole, whole
-        kernels.seen_from(self.boxes, box, self.seen)
+        kernels.seen_from(self.boxes if everything else self.boxes[first], box, self.seen)
         while True:
-            self.lists[0, : len(first)] = first
+            self.lists[0, : len(first)] = self.everything[: len(first)]
             n_views, n_entries, worst, within = kernels.descend(
                 self.seen, cost, len(first), self.lists, self.frusta.normals, self.frusta.row, self.frusta.pad, self.n,
                 self.model.target, self.views, self.entries,
@@ -150,14 +151,13 @@ class _Search:
         if not len(found):
             return None
         found = found[np.argsort(found[:, 0], kind="stable")]
-        self.position[first] = np.arange(len(first), dtype=np.int32)
-        n_runs = kernels.count_runs(found, self.entries, self.position)
+        n_runs = kernels.count_runs(found, self.entries)
         row = np.zeros(len(found) + 1, dtype=np.int64)
         run, before = np.empty((n_runs, 2), dtype=np.int32), np.empty(n_runs, dtype=np.int64)
-        kernels.gather(found, self.entries, self.position, cost, row, run, before)
+        kernels.gather(found, self.entries, cost, row, run, before)
         return _CellViews(
             cell=cell, interval=found[:, 0].astype(np.int32), cost=found[:, 1].copy(), row=row, run=run, before=before,
-            objects=np.ascontiguousarray(first, dtype=np.int32), through=np.cumsum(cost[first], dtype=np.int64),
+            objects=np.ascontiguousarray(first, dtype=np.int32), through=np.cumsum(cost, dtype=np.int64),
         )  # fmt: skip
 
 
