@@ -271,14 +271,15 @@ def _placement_plan(inputs: Inputs) -> list[Shard]:
 
 
 def _placement(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.greedy import cells_alone
     from farfield.placement.regions import choose_in_region
 
     if shard == ONE[0]:
         return _place(inputs, [])
+    hierarchy, model, views = inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.VIEWSPACE)
     chosen = choose_in_region(
-        inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.VIEWSPACE),
-        inputs.get(Stage.CANDIDATES), settings=inputs.settings, region=(shard[0], shard[1]),
-        checkpoint=_checkpoint(inputs),
+        hierarchy, model, views, inputs.get(Stage.CANDIDATES), settings=inputs.settings, region=(shard[0], shard[1]),
+        alone=cells_alone(hierarchy, model, cells_of(inputs), views, inputs.settings), checkpoint=_checkpoint(inputs),
     )  # fmt: skip
     return dataclass_parts(chosen)
 
@@ -420,7 +421,7 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.CANDIDATES, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
              plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
              reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.view_cells")),
-        Step(stage=Stage.PLACEMENT, version=3, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
+        Step(stage=Stage.PLACEMENT, version=4, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
         Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,

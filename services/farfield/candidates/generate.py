@@ -40,6 +40,7 @@ from farfield.viewspace.model import ProblemViews
 SHARDS = 32  # about as many
 STEP_DEG = 11.25  # between directions of raw shafts
 ENTRIES = 48_000_000  # aimed at: candidates x problem views (docs/decisions/0010-which-candidates.md)
+COUNTED_VIEWS = 256  # at least, to estimate the entries
 BLOCK_PAIRS = 4_000_000  # of a cluster and a problem view that are held at once, 12 bytes each
 UNFIT = 1 << 62  # bytes and cost of what cannot be fitted
 
@@ -88,15 +89,30 @@ class _Work:
 def thinning(hierarchy: Hierarchy, model: CostModel, views: ProblemViews) -> tuple[float, float]:
     """Return (share, outdone) of `kernels.is_needed`: stricter the more pairs of cluster and problem view there are.
 
-    At (1/4, 1) a third of the pairs become entries; the constants were measured, see docs/decisions/0010.
+    At (1/4, 1) nine tenths of the pairs where a cluster costs more than the cheapest impostor become entries; the
+    constants were measured, see docs/decisions/0010. The pairs are counted in every k-th view.
     """
-    fixed = np.concatenate([[0], np.cumsum(model.object_fixed)])
-    worth = int((fixed[hierarchy.stop] - fixed[hierarchy.start] > _floor(model)).sum())
-    crowding = max(1.0, 0.36 * worth * len(views.cell) / ENTRIES)
+    pairs = _count_pairs(hierarchy, views, cheapest_cost(model), every=-(-len(views.cell) // COUNTED_VIEWS))
+    crowding = max(1.0, 0.9 * pairs / ENTRIES)
     return min(0.25 * crowding, 0.75), min(1.0, (2 / crowding) ** 2)
 
 
-def _floor(model: CostModel) -> int:
+def _count_pairs(hierarchy: Hierarchy, views: ProblemViews, floor: int, *, every: int) -> int:
+    """Return about how many pairs of cluster and problem view cost more than floor, from each `every`-th view."""
+    runs, some = runs_of(views), np.arange(0, len(views.cell), max(1, every))
+    length = runs.row[some + 1] - runs.row[some]
+    row = np.concatenate([[0], np.cumsum(length)])
+    at = np.repeat(runs.row[some] - row[:-1], length) + np.arange(row[-1])
+    runs = runs._replace(cost=runs.cost[some], list=runs.list[some], row=row, run=runs.run[at], before=runs.before[at])
+    none = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int64)
+    count = np.empty(len(hierarchy.start), dtype=np.int64)
+    tree = hierarchy.start, hierarchy.stop, hierarchy.left, hierarchy.right
+    kernels.list_pairs(runs, *tree, (0, len(count)), floor, count, *none)
+    return int(count.sum()) * max(1, every)
+
+
+def cheapest_cost(model: CostModel) -> int:
+    """Return what no impostor costs less than."""
     return rendertime.impostor_cost(model, triangles=MAX_LAYER_TRIANGLES, pixels=0)
 
 
@@ -108,7 +124,7 @@ def _prepare(
     wanted = settings.placement.candidates
     return _Work(
         delta=p.delta, dl=p.dl, screen=rendertime.screen(model), coefficient=_coefficient(model),
-        floor=_floor(model), share=share, outdone=outdone,
+        floor=cheapest_cost(model), share=share, outdone=outdone,
         shafts=wanted != "boxes", boxes=wanted != "shafts", raw=settings.placement.view_cells == "raw",
         cell_box=np.ascontiguousarray(cells.cell_box),
         keys=kernels.cell_keys(cells.n_cells), directions=directions(),

@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from farfield.candidates.alone import Alone, candidates_for
 from farfield.candidates.model import Candidates, take
 from farfield.errors import StageFailed
 from farfield.geometry.cells import CellTree
@@ -25,6 +26,7 @@ from farfield.placement.antichain import Offers, subtree_end
 from farfield.placement.assign import fastest, least
 from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.choose import Progress, choose
+from farfield.placement.complete import complete
 from farfield.placement.curve import gather, trace
 from farfield.placement.evaluate import evaluate
 from farfield.placement.limit import Limit
@@ -43,13 +45,14 @@ from farfield.viewspace.model import ProblemViews
 def place(
     scene: Scene | None, hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews,
     candidates: Candidates, *, settings: Settings, regions: Sequence[RegionChoice] = (), refit: Refit | None = None,
-    progress: Progress | None = None, checkpoint: Checkpoint | None = None,
+    alone: Alone | None = None, progress: Progress | None = None, checkpoint: Checkpoint | None = None,
 ) -> Placement:  # fmt: skip
     """Return the chosen impostors and what each problem view shows. Raises StageFailed if its own proof fails.
 
     candidates  read only (memory maps will do); sorted by cluster, bytes > 0, saved > 0, views ascending in a row
     regions     what parts of the view space chose, all of them: nothing else is chosen from; none: all candidates
     refit       fits a view cell to given cells, see `tighten.Refit`; None: the candidates' own
+    alone       offers a cell what is made for it alone; None: `candidates.alone`, or nothing where `refit` is given
     progress    called with a share in [0, 1] and counters, at most a few times a second
     checkpoint  where the greedy keeps its choices
     """
@@ -59,6 +62,10 @@ def place(
     tell = progress or (lambda share, counters: None)
     policy, limit = settings.placement, Limit(settings.placement.time_limit_s)
     end = subtree_end(hierarchy.start, hierarchy.stop)
+    if alone is None and refit is None:
+        alone = cells_alone(hierarchy, model, cells, views, settings)
+    if alone is not None:
+        candidates = complete(candidates, views, target=model.target, end=end, alone=alone)
     prospects = find_prospects(hierarchy, model, views, candidates, end=end, policy=policy)
     need = views.cost - prospects.target
     tell(0.1, {"hopeless": int(prospects.hopeless.sum())})
@@ -145,6 +152,15 @@ def _nothing_to_place(model: CostModel, views: ProblemViews) -> Placement:
         curve_budget=np.array([model.budget]), curve_bytes=np.zeros(1, np.int64), curve_over=np.zeros(1, np.int64),
         stopped=False,
     )  # fmt: skip
+
+
+def cells_alone(
+    hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews, settings: Settings
+) -> Alone | None:
+    """Return what makes candidates for a cell alone; None where view cells are to be as generated."""
+    if settings.placement.view_cells == "raw":
+        return None
+    return partial(candidates_for, hierarchy=hierarchy, model=model, cells=cells, views=views, settings=settings)
 
 
 def _candidates_refit(model: CostModel, settings: Settings) -> Refit:

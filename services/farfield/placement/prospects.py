@@ -44,7 +44,8 @@ def find_prospects(
 
     end     (C,) i32, see `antichain.subtree_end`
     policy  what hopeless views get; None: the default
-    smallest_budget is proven for these candidates: where nothing is hopeless, views that are no problem today bound it.
+    smallest_budget  with these candidates; least where something is hopeless. Where nothing is, views that are no
+                     problem today, of which nobody knows what impostors could do, bound it from above.
     """
     row, id, saved = cheapest_offers(
         candidates.cluster, candidates.row, candidates.view, candidates.saved, len(views.cell)

@@ -14,12 +14,14 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from farfield.candidates.alone import Alone
 from farfield.candidates.model import Candidates
 from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import subtree_end
 from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.choose import choose
+from farfield.placement.complete import complete
 from farfield.placement.limit import Limit
 from farfield.placement.model import RegionChoice
 from farfield.placement.prospects import best_costs, targets
@@ -46,14 +48,17 @@ def plan_regions(cells: CellTree, views: ProblemViews, n: int) -> list[tuple[int
 
 def choose_in_region(
     hierarchy: Hierarchy, model: CostModel, views: ProblemViews, candidates: Candidates, *, settings: Settings,
-    region: tuple[int, int], checkpoint: Checkpoint | None = None,
+    region: tuple[int, int], alone: Alone | None, checkpoint: Checkpoint | None = None,
 ) -> RegionChoice:  # fmt: skip
     """Return what the problem views of the cells [a, b) = region need, chosen as if there were no others.
 
     candidates  all of them; read only (memory maps will do)
+    alone       as in `greedy.place`: every region completes the candidates alike, so that ids mean the same
     """
     policy, limit = settings.placement, Limit(settings.placement.time_limit_s)
     end = subtree_end(hierarchy.start, hierarchy.stop)
+    if alone is not None:
+        candidates = complete(candidates, views, target=model.target, end=end, alone=alone)
     first, last = (int(v) for v in np.searchsorted(views.cell, region))
     some, which = within(candidates, first, last)
     cost = views.cost[first:last]

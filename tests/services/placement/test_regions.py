@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from benchmarks.inputs import town_level
-from farfield.placement.greedy import place
+from farfield.placement.greedy import cells_alone, place
 from farfield.placement.regions import choose_in_region, plan_regions, within
 from farfield.settings import Settings
 from naive import greedy as naive
@@ -12,8 +12,9 @@ from .instances import random_instance, same_refit
 
 
 def place_in_regions(scene, hierarchy, model, cells, views, candidates, n, *, settings, refit=None):
+    alone = cells_alone(hierarchy, model, cells, views, settings) if refit is None else None
     regions = [
-        choose_in_region(hierarchy, model, views, candidates, settings=settings, region=region)
+        choose_in_region(hierarchy, model, views, candidates, settings=settings, region=region, alone=alone)
         for region in plan_regions(cells, views, n)
     ]
     return place(scene, hierarchy, model, cells, views, candidates, settings=settings, regions=regions, refit=refit)
@@ -68,3 +69,12 @@ def test_regions_of_a_town_cost_a_little_memory(n):
     loss = p.bytes.sum() / level.placement.bytes.sum()
     print(f"{n} regions: {loss:.3f} of the single run's bytes")
     assert loss < 1.15
+
+
+def test_regions_with_hopeless_views_agree_with_the_single_run_about_them():
+    level = town_level(90, budget="40 calls", view_m=32.0, interval_deg=22.5)
+    given = level.scene, level.hierarchy, level.model, level.cells, level.views, level.candidates
+    p = place_in_regions(*given, 3, settings=level.settings)
+    assert p.hopeless.any() and not p.hopeless.all()
+    np.testing.assert_array_equal(p.view_best, level.placement.view_best)
+    assert p.smallest_budget == level.placement.smallest_budget
