@@ -28,8 +28,9 @@ def seen_from(boxes, cell, box):
 def descend(box, cost, n_first, lists, normals, row, pad, n, target, out_view, out_object):
     """Descend the six quadtrees of one cell; return (views, entries, worst, worst within target).
 
-    box (7,N), cost (N,) are of n_first objects; lists (levels + 2, N) i32 is scratch, its first row 0 .. n_first. Interval by interval,
-    depth first: out_view (6 n^2, 4) i64 gets interval, cost and the range of out_object with the accepted objects.
+    box (7,N), cost (N,) are of n_first objects; lists (levels + 2, N) i32 is scratch, its first row 0 .. n_first.
+    Interval by interval, depth first: out_view (6 n^2, 4) i64 gets interval, cost and the range of out_object with the
+    accepted objects, as places in box.
     Entries beyond the length of out_object are counted, not written.
     """
     count = np.zeros(len(lists), dtype=np.int64)
