@@ -191,14 +191,48 @@ def _rendertime(inputs: Inputs, shard: Shard) -> Parts:
 # 5 visibility -------------------------------------------------------------------------------------------------------
 
 
+def _seen_share(inputs: Inputs) -> float | None:
+    from farfield.visibility.auto import seen_share
+
+    if inputs.settings.visibility.mode != "auto":
+        return None
+    scene, digest = inputs.get(Stage.SCENE), inputs.digests[Stage.SCENE]
+    return seen_share(scene, cells_of(inputs), seed=inputs.settings.seed, digest=digest)
+
+
 def _visibility_skip(inputs: Inputs) -> str | None:
-    return "visibility.mode is off: every cell is taken to see every object"
+    from farfield.visibility.auto import reason_to_skip
+
+    mode = inputs.settings.visibility.mode
+    if mode == "auto":
+        return reason_to_skip(_seen_share(inputs))
+    return "visibility.mode is off: every cell is taken to see every object" if mode == "off" else None
 
 
-def _visibility(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
-    from farfield.visibility.model import VisibleSets
+def _visibility_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.visibility.sample import plan_shards
 
-    return dataclass_parts(VisibleSets(mode="off", row=np.zeros(0, np.int64), object=np.zeros(0, np.int32)))
+    mode = inputs.settings.visibility.mode
+    share, mode = _seen_share(inputs), "sampled" if mode == "auto" else mode
+    return [[mode, share, node] for node in plan_shards(cells_of(inputs))]
+
+
+def _visibility(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.visibility.sample import see
+
+    mode, share, node = shard
+    scene = inputs.get(Stage.SCENE)
+    return dataclass_parts(see(scene, cells_of(inputs), node, settings=inputs.settings, mode=mode, seen_share=share))
+
+
+def _visibility_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.visibility.merge import merge
+    from farfield.visibility.model import Sightings, off
+
+    if not artifacts:
+        return dataclass_parts(off())
+    parts = [unpack_dataclass(Sightings, a) for a in artifacts]
+    return dataclass_parts(merge(inputs.get(Stage.SCENE), cells_of(inputs), parts))
 
 
 # 6 viewspace --------------------------------------------------------------------------------------------------------
@@ -414,8 +448,9 @@ STEPS: dict[Stage, Step] = {
              asks=("budget", "device", "device_profile")),
         Step(stage=Stage.RENDERTIME, version=2, queue=Queue.CPU, inputs=(_S, _D), plan=_one, run=_rendertime,
              reads=("budget", "device", "device_profile", _CAMERA)),
-        Step(stage=Stage.VISIBILITY, version=1, queue=Queue.CPU, inputs=(_S, _H), skip=_visibility_skip, plan=_one,
-             run=lambda inputs, shard: _visibility(inputs, ()), merge=_visibility, reads=("visibility",)),
+        Step(stage=Stage.VISIBILITY, version=2, queue=Queue.CPU, inputs=(_S,), skip=_visibility_skip,
+             plan=_visibility_plan, run=_visibility, merge=_visibility_merge,
+             reads=("visibility.missed_ppm", "visibility.rays", "seed"), asks=("visibility.mode",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,
              run=_viewspace, merge=_viewspace_merge, reads=(_CAMERA, "view_space.interval_deg")),
         Step(stage=Stage.CANDIDATES, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,

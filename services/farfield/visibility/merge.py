@@ -17,12 +17,6 @@ from farfield.visibility.model import Sightings, VisibleSets
 from farfield.visibility.sample import VIEW_PX
 
 
-def off(reason_share: float | None = None) -> VisibleSets:
-    """Return the sets of a stage that did not run: every cell sees every object."""
-    none = np.zeros(0, np.int32)
-    return VisibleSets(mode="off", row=np.zeros(0, np.int64), object=none, seen_share=reason_share)
-
-
 def merge(scene: Scene, cells: CellTree, parts: Sequence[Sightings]) -> VisibleSets:
     """Return the visible sets of all leaf cells from the shards' artifacts, in any order; at least one."""
     first = parts[0]

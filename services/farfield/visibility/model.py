@@ -33,6 +33,11 @@ class VisibleSets:
     worst_ppm: float | None = None
 
 
+def off() -> VisibleSets:
+    """Return the sets of a stage that was skipped."""
+    return VisibleSets(mode="off", row=np.zeros(0, np.int64), object=_no_cells())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sightings:
     """What one shard found: sets as bits over the cells its lines touched, and what it held out for the merge.
