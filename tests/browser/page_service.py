@@ -78,7 +78,9 @@ def golden_report(stages: list[dict[str, Any]], *, settings: Any = None, verdict
         "peak_bytes": max(s["peak_bytes"] for s in stages), "seed": 0,
         "settings": to_mapping(settings) if settings else {}, "worst_geometry_cost": 27,
         "worst_cost_bound": worst["cost_bound"], "worst_views": sorted(views, key=lambda v: -v["cost_bound"])[:16],
-        "hopeless": hopeless[:100], "culprits": blamed, "curve": [[0, 900], [45576, 300]],
+        "hopeless": hopeless[:100], "culprits": blamed, "stopped": False,
+        "curve": [{"budget": b, "bytes": n, "views_over": v} for b, n, v in
+                  ((20, 45576, 3), (21, 30112, 3), (22, 21500, 1), (24, 9004, 0), (27, 0, 0))],
         "verified": {"views": 1000, "over_budget": 0, "over_bound": 0, "worst_ratio": 0.95, "in_problem_views": 321,
                      "worst_view": {"position": worst["position"], "direction": worst["direction"], "cost": 20}},
         "warnings": ["a made-up town"], "dropped_triangles": 4, "not_baked": [], "software": {"farfield": "0.1.0"},

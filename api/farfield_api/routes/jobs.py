@@ -105,10 +105,20 @@ def delete(job_id: str, caller: Submitter, service: Service, dry_run: bool = Fal
 
 @router.get("/{job_id}/report", summary="The certificate and its figures")
 def report(job_id: str, caller: Reader, service: Service) -> Response:
-    row = jobs.get(service.engine, caller.tenant_id, job_id)
+    return Response(_report(service, caller.tenant_id, job_id), media_type="application/json")
+
+
+@router.get("/{job_id}/curve", summary="Memory over budget: what a larger budget would need")
+def curve(job_id: str, caller: Reader, service: Service) -> dict[str, Any]:
+    told = json.loads(_report(service, caller.tenant_id, job_id))
+    return {key: told.get(key) for key in ("budget", "budget_amount", "unit", "bytes", "curve")}
+
+
+def _report(service: State, tenant_id: str, job_id: str) -> bytes:
+    row = jobs.get(service.engine, tenant_id, job_id)
     if row.report_digest is None:
         raise JobNotFinished(job_id, row.state)
-    return Response(bytes(service.artifacts.buffer(row.report_digest)), media_type="application/json")
+    return bytes(service.artifacts.buffer(row.report_digest))
 
 
 _STREAM: dict[int | str, dict[str, Any]] = {

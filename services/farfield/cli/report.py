@@ -68,8 +68,12 @@ def show_report(report: Mapping[str, Any], console: Console | None = None) -> No
     out = console or Console()
     colour, meaning = _VERDICT[report["verdict"]]
     out.print(f"[bold {colour}]{report['verdict']}[/]  {meaning} ({report['budget']})", highlight=False)
+    if report["stopped"]:
+        out.print("stopped by its time limit: more time could save memory", highlight=False)
     out.print(_figures(report))
     out.print(_stages(report["stages"]))
+    if len(report["curve"]) > 1:
+        out.print(_curve(report))
     if report["hopeless"]:
         out.print(_hopeless(report))
     for warning in [*report["warnings"], *report["not_baked"]]:
@@ -128,6 +132,19 @@ def _stages(stages: list[dict[str, Any]]) -> Table:
         if s.get("reused"):
             note += f" [dim]{s['reused']} of {s['shards']} shards reused[/]"
         table.add_row(s["name"], f"{s['seconds']:.1f}", _size(s["peak_bytes"]), note)
+    return table
+
+
+def _curve(report: Mapping[str, Any]) -> Table:
+    table = Table(title="memory over budget, as estimated before the bake", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for name in ("budget", "memory", "views over it"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    largest = max(point["bytes"] for point in report["curve"]) or 1
+    for point in report["curve"]:
+        over = f"{point['views_over']:,}" if point["views_over"] else "-"
+        bar = "█" * round(BAR * point["bytes"] / largest)
+        table.add_row(cost_text(report, point["budget"]), _size(point["bytes"]), over, bar)
     return table
 
 

@@ -154,6 +154,7 @@ export type Route =
   | "DELETE /v1/jobs/{job_id}"
   | "GET /v1/jobs/{job_id}"
   | "POST /v1/jobs/{job_id}/cancel"
+  | "GET /v1/jobs/{job_id}/curve"
   | "GET /v1/jobs/{job_id}/events"
   | "GET /v1/jobs/{job_id}/report"
   | "POST /v1/jobs/{job_id}/retry"

@@ -59,15 +59,16 @@ function meaning(report: Report): HTMLElement[] {
   } else {
     lines.push(h("p", null, "It is not proved that every view meets ", b(budget), ". The placement can be walked; it carries no certificate."));
   }
+  if (report.stopped) lines.push(h("p", { class: "small" }, "Optimising was stopped by its time limit: more time could save memory."));
   if (camera) lines.push(h("p", { class: "small q" }, `${camera}${device}.`));
   return lines;
 }
 
-function csvButton(name: string, header: string[], rows: () => Cell[][]): HTMLElement {
+export function csvButton(name: string, header: string[], rows: () => Cell[][]): HTMLElement {
   return h("button", { class: "btn plain noprint", type: "button", "aria-label": `${name} as CSV`, onclick: () => download(`${name}.csv`, csv(header, rows())) }, "CSV");
 }
 
-function part(id: string, title: string, hint: string, button: HTMLElement | null, ...content: Node[]): HTMLElement {
+export function part(id: string, title: string, hint: string, button: HTMLElement | null, ...content: Node[]): HTMLElement {
   return h("section", { class: "panel report-part", "aria-labelledby": id }, h("header", null, h("h2", { id }, title), hint ? h("span", { class: "small q" }, hint) : null, h("div", { class: "end" }, button)), ...content);
 }
 

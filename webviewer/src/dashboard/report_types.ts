@@ -38,6 +38,13 @@ export interface HopelessView extends ReportView {
   culprits: Culprit[];
 }
 
+/** These bytes keep every problem view but `views_over` within `budget`. */
+export interface CurvePoint {
+  budget: number;
+  bytes: number;
+  views_over: number;
+}
+
 export interface Verified {
   views: number;
   over_budget: number;
@@ -86,7 +93,8 @@ export interface Report {
   worst_views?: ReportView[];
   hopeless?: HopelessView[];
   culprits?: Culprit[];
-  curve?: [number, number][];
+  curve?: CurvePoint[];
+  stopped?: boolean;
   verified?: Verified | null;
   warnings?: string[];
   dropped_triangles?: number;
