@@ -22,6 +22,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if HERE in item.path.parents:
                 item.add_marker(pytest.mark.skip(reason="a benchmark: run `make bench`, or pytest with --bench"))
+    if not config.getoption("--bench-large"):
+        for item in items:
+            if item.path == HERE / "test_scale.py":
+                item.add_marker(pytest.mark.skip(reason="minutes each: run pytest with --bench --bench-large"))
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:

@@ -1,0 +1,91 @@
+"""The whole way at the size of the paper's Vienna, at its largest test, and at one and ten times a town.
+
+Minutes each, so only with --bench-large. Every stage is a row: processor seconds, and where there are two sizes the
+exponent (1.11 is 13 times the time for 10 times the town).
+"""
+
+import time
+from pathlib import Path
+
+import pytest
+from benchmarks.measure import exponent
+from benchmarks.scenes import munich, settings_text, vienna
+from benchmarks.walk import Taken, read_settings, walk
+from cutout import demo_city
+from farfield.columns import unpack_dataclass
+from farfield.executor import Executor, map_file
+from farfield.stages import Stage
+from farfield.viewspace.model import ProblemViews
+
+SHARDED = (Stage.VISIBILITY, Stage.VIEWSPACE, Stage.CANDIDATES)
+
+
+def taken(scene: Path, toml: str, folder: Path, *, until: Stage = Stage.PLACEMENT) -> tuple[list[Taken], int]:
+    """Return what each stage took, and the number of problem views."""
+    settings = folder / "settings.toml"
+    settings.write_text(toml, encoding="utf-8")
+    rows = list(walk(scene, read_settings(settings), folder, until=until))
+    views = unpack_dataclass(ProblemViews, map_file(folder / f"{Stage.VIEWSPACE}.ffc"))
+    return rows, len(views.cell)
+
+
+def report_all(report, name: str, rows: list[Taken], small: list[Taken] | None = None) -> None:
+    for k, row in enumerate(rows):
+        if row.shards:
+            grown = small is not None and small[k].seconds > 0
+            report(
+                stage=row.stage, work=f"{row.shards} shards, {row.two_workers:.2f} times with two workers",
+                input=f"{name}, peak {row.peak_bytes / 2**20:.0f} MiB", seconds=row.seconds,
+                rate=row.artifact_bytes / row.seconds, unit="B/s",
+                exponent=exponent([1, 10], [small[k].seconds, row.seconds]) if grown else None,
+                sizes="towns 1..10" if grown else "",
+            )  # fmt: skip
+
+
+@pytest.mark.parametrize("mode, budget", [("off", "2700 calls"), ("sampled", "330 calls")])
+def test_vienna(mode, budget, tmp_path, report):
+    scene, boxes = vienna()
+    rows, views = taken(scene, settings_text(boxes, budget=budget, mode=mode), tmp_path)
+    report_all(report, f"Vienna's size, {mode}, {views} views", rows)
+
+
+def test_many_views(tmp_path, report):
+    """The demo city's street level without visibility: as many problem views as the largest test of the paper."""
+    city = demo_city()
+    raw, _ = city.read_city()
+    scene = tmp_path / "city.glb"
+    city.build(scene, tmp_path / "demo.toml")
+    rows, views = taken(scene, settings_text(city.street_boxes(raw), budget="860 calls"), tmp_path)
+    report_all(report, f"San Francisco, off, {views} views", rows)
+
+
+def test_growth(tmp_path, report):
+    rows = []
+    for columns, across in ((1, 1), (5, 2)):
+        scene, boxes = munich(columns, across, side=10)
+        folder = tmp_path / f"{columns}x{across}"
+        folder.mkdir()
+        rows.append(taken(scene, settings_text(boxes, budget="20 calls", mode="sampled"), folder)[0])
+    report_all(report, "10 towns, sampled", rows[1], rows[0])
+
+
+def test_two_workers(tmp_path, report):
+    """Wall clock: means something only where nothing else runs."""
+    scene, boxes = munich(1, 1)
+    toml = tmp_path / "settings.toml"
+    toml.write_text(settings_text(boxes, budget="20 calls", mode="sampled"), encoding="utf-8")
+    settings, seconds = read_settings(toml), {}
+    for workers in (1, 2):
+        folder = tmp_path / str(workers)
+        folder.mkdir()
+        with Executor(scene, settings, folder, workers=workers, progress=lambda *_: None) as executor:
+            for stage in list(Stage)[: list(Stage).index(Stage.CANDIDATES) + 1]:
+                start = time.perf_counter()
+                executor.run(stage)
+                seconds[stage, workers] = time.perf_counter() - start
+    for stage in SHARDED:
+        ratio = seconds[stage, 1] / seconds[stage, 2]
+        report(
+            stage=stage, work=f"wall clock: two workers {ratio:.2f} times one", input="Munich, sampled",
+            seconds=seconds[stage, 2], rate=ratio, unit="times one worker",
+        )  # fmt: skip
