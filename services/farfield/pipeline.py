@@ -103,6 +103,7 @@ _MODELS = {
     Stage.PLACEMENT: ("placement", "Placement"),
     Stage.BAKE: ("bake", "BakedLayers"),
     Stage.REPAIR: ("placement", "Placement"),
+    Stage.BOUND: ("placement", "Bound"),
 }
 
 
@@ -382,6 +383,28 @@ def _repair(inputs: Inputs, shard: Shard) -> Parts:
     return dataclass_parts(mended)
 
 
+def _bound_skip(inputs: Inputs) -> str | None:
+    off = "placement.bound is off" if inputs.settings.placement.bound == "off" else None
+    return off or _nothing_chosen(inputs)
+
+
+def _bound(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.bound import bound_of
+
+    found = bound_of(
+        inputs.get(Stage.PLACEMENT), inputs.get(Stage.HIERARCHY), inputs.get(Stage.VIEWSPACE),
+        inputs.get(Stage.CANDIDATES), method=inputs.settings.placement.bound,
+    )  # fmt: skip
+    return dataclass_parts(found)
+
+
+def _bound_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.placement.model import Bound
+
+    none = Bound(method="none", lower_bytes=0, placed_bytes=0, choices=0)
+    return dataclass_parts(unpack_dataclass(Bound, artifacts[0]) if artifacts else none)
+
+
 # 10 placementdb -----------------------------------------------------------------------------------------------------
 
 
@@ -435,7 +458,7 @@ def write_files(buffer: Any, folder: Path) -> None:
 _S, _H, _D, _R, _V = Stage.SCENE, Stage.HIERARCHY, Stage.DETAIL, Stage.RENDERTIME, Stage.VISIBILITY
 _VIEW, _C, _P, _B = Stage.VIEWSPACE, Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE
 _CAMERA, _QUALITY = "camera", "quality"
-_CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.name != "time_limit_s")
+_CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.name not in ("time_limit_s", "bound"))
 
 STEPS: dict[Stage, Step] = {
     step.stage: step
@@ -463,6 +486,8 @@ STEPS: dict[Stage, Step] = {
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
         Step(stage=Stage.REPAIR, version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
+        Step(stage=Stage.BOUND, version=1, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
+             run=_bound, merge=_bound_merge, reads=("placement.bound",)),
         Step(stage=Stage.PLACEMENTDB, version=2, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),
         Step(stage=Stage.EVALUATION, version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=_evaluation_plan,

@@ -69,6 +69,7 @@ class PlacementSettings:
     hopeless: Literal["near_best", "geometry"] = "near_best"  # what views get that cannot meet the budget
     hopeless_slack: float = 1.05  # near_best: their target in multiples of the best they can reach, [1, 10]
     regions: int = 1  # 1..64 parts of the view space, optimised apart and merged
+    bound: Literal["auto", "lp", "lagrangian", "off"] = "auto"  # how to prove what no placement can weigh less than
     time_limit_s: float | None = None  # of optimising, wall clock, > 0; None: as long as it takes
 
 

@@ -16,6 +16,7 @@ class Stage(StrEnum):
     PLACEMENT = "placement"
     BAKE = "bake"
     REPAIR = "repair"
+    BOUND = "bound"
     PLACEMENTDB = "placementdb"
     EVALUATION = "evaluation"
 

@@ -72,7 +72,7 @@ def golden_report(stages: list[dict[str, Any]], *, settings: Any = None, verdict
         "format": "farfield report", "version": 1, "verdict": verdict or manifest["verdict"], "budget": budget["text"],
         "budget_amount": budget["amount"], "unit": budget["unit"], "per_frame": 3,
         "smallest_budget": {"amount": 24, "text": "24 calls"}, **counts, "candidates": 113, "bytes": manifest["bytes"],
-        "file_bytes": manifest["file_bytes"], "video_bytes": manifest["video_bytes"], "lower_bound_bytes": None,
+        "file_bytes": manifest["file_bytes"], "video_bytes": manifest["video_bytes"], "lower_bound_bytes": None, "bound": None,
         "camera": manifest["camera"], "quality": manifest["quality"], "bounds": manifest["bounds"],
         "view_space": manifest["view_space"], "stages": stages, "seconds": sum(s["seconds"] for s in stages),
         "peak_bytes": max(s["peak_bytes"] for s in stages), "seed": 0,

@@ -10,7 +10,7 @@ from farfield.placementdb.read import Placement
 
 REPORT = {
     "verdict", "budget", "objects", "triangles", "cells", "problem_views", "hopeless_views", "candidates", "impostors",
-    "bytes", "file_bytes", "video_bytes", "lower_bound_bytes", "stages", "seed", "settings",
+    "bytes", "file_bytes", "video_bytes", "lower_bound_bytes", "bound", "stages", "seed", "settings",
 }  # fmt: skip
 
 

@@ -97,6 +97,10 @@ def _figures(report: Mapping[str, Any]) -> Table:
         ("fullest view", f"{cost_text(report, report['worst_geometry_cost'])} as geometry, "
                          f"{cost_text(report, report['worst_cost_bound'])} as placed"),
     ]  # fmt: skip
+    if bound := report.get("bound"):
+        gap = "" if bound["gap"] is None else f", {100 * bound['gap']:.0f} % more"
+        rows.insert(4, ("proven bound", f"{_size(report['lower_bound_bytes'])} as estimated before the bake, where "
+                                        f"{_size(bound['estimated_bytes'])} are placed{gap}"))  # fmt: skip
     if report.get("device"):
         rows.append(("device", _device(report["device"])))
     if report["hopeless_views"]:

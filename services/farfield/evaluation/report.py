@@ -17,7 +17,7 @@ from farfield.errors import PlacementFileMissing
 from farfield.evaluation.verify import refuted
 from farfield.geometry.cells import CellTree, build_cells
 from farfield.geometry.intervals import direction_at, edges, split_id
-from farfield.placement.model import Placement
+from farfield.placement.model import Bound, Placement
 from farfield.rendertime.model import CostModel
 from farfield.rendertime.profiles import find_profile
 from farfield.scene.model import Scene
@@ -88,7 +88,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         "candidates": len(inputs.get(Stage.CANDIDATES).cluster),
         **{key: manifest[key] for key in ("bytes", "file_bytes", "video_bytes", "camera", "quality", "bounds",
                                           "view_space")},
-        "lower_bound_bytes": None,
+        **_bound(inputs.get(Stage.BOUND)),
         "stages": ran, "seconds": round(math.fsum(s["seconds"] for s in ran), 3),
         "peak_bytes": max((s["peak_bytes"] for s in ran), default=0),
         "seed": settings.seed, "settings": to_mapping(settings),
@@ -103,6 +103,16 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         "not_baked": list(baked.skipped), "software": manifest["provenance"]["software"],
         "inputs": manifest["provenance"]["inputs"],
     }  # fmt: skip
+
+
+def _bound(bound: Bound) -> dict[str, Any]:
+    """Return the lower bound and how far the placement is from it. Both are estimates from before the bake: a baked
+    impostor weighs less, so measured bytes must not be held against the bound."""
+    if bound.method == "none":
+        return {"lower_bound_bytes": None, "bound": None}
+    gap = bound.placed_bytes / bound.lower_bytes - 1 if bound.lower_bytes else None
+    figures = {"method": bound.method, "estimated_bytes": bound.placed_bytes, "gap": gap, "choices": bound.choices}
+    return {"lower_bound_bytes": bound.lower_bytes, "bound": figures}
 
 
 def _verdict(stated: str, verified: Mapping[str, Any] | None) -> str:

@@ -26,9 +26,13 @@ import numpy as np
 from numba import njit
 
 from farfield.candidates.model import Candidates
-from farfield.placement.antichain import Offers, best_antichain
+from farfield.hierarchy.model import Hierarchy
+from farfield.placement.antichain import Offers, best_antichain, subtree_end
 from farfield.placement.bound_lp import FEW_ENTRIES, dual_prices
+from farfield.placement.model import Bound, Placement
+from farfield.placement.repair import offers_in_cell
 from farfield.placement.tighten import Impostors
+from farfield.viewspace.model import ProblemViews
 
 ITERATIONS = 60
 FIRST_STEP, LAST_STEP = 8.0, 0.4  # of prices
@@ -189,6 +193,30 @@ def lower_bound_bytes(
         pull = MOMENTUM * pull + (1 - MOMENTUM) * np.maximum(1 - covered, -2.0)
         budget *= np.exp(step * pull)
     return best
+
+
+def bound_of(
+    placement: Placement, hierarchy: Hierarchy, views: ProblemViews, candidates: Candidates, *, method: str
+) -> Bound:
+    """Return the bound for a placement before its bake: over the candidates, and the placed impostors wherever in their
+    cells they help.
+
+    method  "auto", "lp" or "lagrangian"
+    """
+    p = placement
+    impostors = Impostors(
+        cluster=p.cluster, kind=p.kind, view_cell=p.view_cell, bytes=p.bytes, layers=p.layers, cost=p.cost
+    )  # fmt: skip
+    offers = offers_in_cell(p, hierarchy, views, p.cost, np.ones(len(views.cell), dtype=bool))
+    low = lower_bound_bytes(
+        candidates, impostors, offers, need=views.cost - p.view_target,
+        end=subtree_end(hierarchy.start, hierarchy.stop), method=method,
+    )  # fmt: skip
+    lp = uses_lp(method, int(candidates.row[-1]) + len(offers.id))
+    return Bound(
+        method="lp" if lp else "lagrangian", lower_bytes=low, placed_bytes=int(p.bytes.sum()),
+        choices=len(candidates.cluster) + len(p.cluster),
+    )  # fmt: skip
 
 
 def uses_lp(method: str, entries: int) -> bool:

@@ -37,6 +37,16 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Bound:
+    """What no placement can weigh less than: of the candidates and these impostors, any choice that meets all targets."""
+
+    method: str  # "lp", "lagrangian", or "none"
+    lower_bytes: int  # 0 where there is none
+    placed_bytes: int  # of the placement, estimated before the bake as the bound is
+    choices: int  # candidates and impostors that the bound speaks of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RegionChoice:
     """What one region chose, to choose among once more."""
 

@@ -44,7 +44,7 @@ def repair(
     view_cost = costs(row, serve)
     missed = view_cost > placement.view_target
     if missed.any():
-        offers = _offers_in_cell(placement, hierarchy, views, cost, missed)
+        offers = offers_in_cell(placement, hierarchy, views, cost, missed)
         shown = fastest(offers, cluster=placement.cluster, end=subtree_end(hierarchy.start, hierarchy.stop))
         row, serve = _with_rows(row, serve, offers, shown, missed)
         view_cost = costs(row, serve)
@@ -85,7 +85,7 @@ def still_failing(placement: Placement) -> np.ndarray:
     return np.flatnonzero(placement.view_cost > placement.view_target)
 
 
-def _offers_in_cell(
+def offers_in_cell(
     placement: Placement, hierarchy: Hierarchy, views: ProblemViews, cost: np.ndarray, wanted: np.ndarray
 ) -> Offers:
     """Return what wanted (V,) b1 views are offered by the impostors that are shown anywhere in their cells."""

@@ -17,6 +17,7 @@ from farfield.columns import files_parts, pack
 from farfield.errors import ColumnsAltered, ColumnsTooNew, PlacementFileMissing, SettingsInvalid
 from farfield.evaluation.report import build_report
 from farfield.evaluation.verify import verify
+from farfield.placement.model import Bound
 from farfield.placementdb.write import build_files
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
@@ -56,6 +57,7 @@ def job(folder: Path, made: dict[str, Any], verified: bool = True) -> Inputs:
     models = {
         Stage.SCENE: made["scene"], Stage.RENDERTIME: made["model"], Stage.VIEWSPACE: made["views"],
         Stage.REPAIR: made["placement"], Stage.BAKE: made["baked"],
+        Stage.BOUND: Bound(method="lp", lower_bytes=400, placed_bytes=500, choices=89),
         Stage.CANDIDATES: SimpleNamespace(cluster=np.zeros(77)),
     }  # fmt: skip
     return Inputs(made["settings"], artifacts, models)
@@ -77,7 +79,8 @@ def test_the_report_has_what_others_rely_on(finished: tuple[Path, dict[str, Any]
     counts = {
         "objects": 60, "triangles": 720, "cells": 16, "problem_views": 16 * 384, "candidates": 77, "impostors": 12,
         "hopeless_views": int(made["placement"].hopeless.sum()), "bytes": int(made["baked"].bytes.sum()),
-        "lower_bound_bytes": None, "seed": 0,
+        "lower_bound_bytes": 400, "seed": 0,
+        "bound": {"method": "lp", "estimated_bytes": 500, "gap": 0.25, "choices": 89},
     }  # fmt: skip
     assert counts.items() <= report.items()
     files = [p for p in (folder / "placement").rglob("*") if p.is_file() and p.name != "manifest.json"]

@@ -62,6 +62,7 @@ export interface PlacementSettings {
   hopeless?: "near_best" | "geometry";
   hopeless_slack?: number;
   regions?: number;
+  bound?: "auto" | "lp" | "lagrangian" | "off";
   time_limit_s?: number | null;
 }
 
@@ -121,7 +122,7 @@ export interface Settings {
   placement?: PlacementSettings;
 }
 
-export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "placementdb" | "evaluation";
+export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "bound" | "placementdb" | "evaluation";
 
 export interface Target {
   /** the page to open */

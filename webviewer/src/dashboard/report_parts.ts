@@ -30,7 +30,7 @@ export function certificate(report: Report, placement: string): HTMLElement {
   if (known(report.hopeless_views)) rest.push(["Hopeless views", count(report.hopeless_views), known(report.problem_views) ? `of ${count(report.problem_views)}` : ""]);
   if (report.smallest_budget && report.hopeless_views) rest.push(["Smallest feasible budget", report.smallest_budget.text, "with these candidates"]);
   if (known(report.bytes)) rest.push(["Impostor memory", bytes(report.bytes), known(report.impostors) ? plural(report.impostors, "impostor") : ""]);
-  if (known(report.lower_bound_bytes) && report.bytes) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `gap ${((100 * report.bytes) / Math.max(report.lower_bound_bytes, 1) - 100).toFixed(1)} %`]);
+  if (report.bound && known(report.lower_bound_bytes)) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `before the bake; ${bytes(report.bound.estimated_bytes)} placed${known(report.bound.gap) ? `, ${(100 * report.bound.gap).toFixed(0)} % more` : ""}`]);
   if (known(report.file_bytes)) rest.push(["Files", bytes(report.file_bytes), known(report.pages) ? plural(report.pages, "page") : ""]);
   if (known(report.video_bytes)) rest.push(["Video memory, all pages", bytes(report.video_bytes), ""]);
   const worst = verified?.worst_view;

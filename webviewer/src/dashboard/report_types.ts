@@ -81,6 +81,7 @@ export interface Report {
   file_bytes?: number;
   video_bytes?: number;
   lower_bound_bytes?: number | null;
+  bound?: { method: "lp" | "lagrangian"; estimated_bytes: number; gap: number | null; choices: number } | null;
   camera?: { fov_deg: number; width: number; height: number };
   quality?: { pixel_error: number; pixels_at: string };
   bounds?: Box | null;
