@@ -6,11 +6,11 @@ import type { CurvePoint, Report } from "./report_types";
 
 const WIDTH = 640;
 const HEIGHT = 200;
-const LEFT = 64;
+const LEFT = 84;
 const RIGHT = 20;
 const TOP = 12;
 const BOTTOM = 28;
-const LEAST_APART = 72; // between labels of the budget axis
+const LEAST_APART = 104; // between labels of the budget axis
 
 export function curvePanel(report: Report): HTMLElement | null {
   const points = report.curve ?? [];
