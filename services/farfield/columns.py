@@ -35,29 +35,53 @@ def pack(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] |
     return b"".join(pack_parts(kind, columns, meta))
 
 
-def pack_parts(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] | None = None) -> Parts:
-    """Return what `pack` returns, as pieces that are still views of the columns."""
-    arrays: list[tuple[str, np.ndarray]] = []
-    for name in sorted(columns):
-        array = np.asarray(columns[name])
-        array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
+Column = np.ndarray | Sequence[np.ndarray]  # an array, or several of one type to be written one after the other
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Block:
+    """A column about to be written."""
+
+    name: str
+    arrays: list[np.ndarray]
+
+    @property
+    def nbytes(self) -> int:
+        return sum(a.nbytes for a in self.arrays)
+
+    def row(self, offset: int) -> dict[str, Any]:
+        first = self.arrays[0]
+        shape = list(first.shape)
+        if len(self.arrays) > 1:
+            shape[0] = sum(len(a) for a in self.arrays)
+        return {"dtype": first.dtype.str, "name": self.name, "offset": offset, "shape": shape}
+
+
+def _block(name: str, column: Column) -> _Block:
+    arrays = []
+    for given in [column] if isinstance(column, np.ndarray) else column:
+        array = np.ascontiguousarray(given, dtype=given.dtype.newbyteorder("<")).reshape(given.shape)
         if array.dtype.str not in DTYPES:
             raise TypeError(f"column {name} has type {array.dtype}, which the container does not hold")
-        arrays.append((name, array))
+        arrays.append(array)
+    assert len({(a.dtype, a.shape[1:]) for a in arrays}) == 1
+    return _Block(name, arrays)
+
+
+def pack_parts(kind: str, columns: Mapping[str, Column], meta: Mapping[str, Any] | None = None) -> Parts:
+    """Return what `pack` returns, as pieces that are still views of the columns."""
+    blocks = [_block(name, columns[name]) for name in sorted(columns)]
 
     def header(offsets: list[int], total: int) -> bytes:
-        table = [
-            {"dtype": a.dtype.str, "name": n, "offset": o, "shape": list(a.shape)}
-            for (n, a), o in zip(arrays, offsets, strict=True)
-        ]
+        table = [block.row(offset) for block, offset in zip(blocks, offsets, strict=True)]
         text = {"bytes": total, "columns": table, "kind": kind, "meta": dict(meta or {})}
         return json.dumps(text, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
     def layout(start: int) -> tuple[list[int], int]:
         offsets, at = [], start
-        for _, a in arrays:
+        for block in blocks:
             offsets.append(at)
-            at = _aligned(at + a.nbytes)
+            at = _aligned(at + block.nbytes)
         return offsets, at
 
     # The header's length depends on the digits of the offsets: widen the start until both agree.
@@ -71,9 +95,9 @@ def pack_parts(kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, 
         start = needed
     front = MAGIC + FORMAT_VERSION.to_bytes(4, "little") + len(head).to_bytes(4, "little") + head
     parts: list[bytes | memoryview] = [front, bytes(start - len(front))]
-    for _, array in arrays:
-        if array.nbytes:
-            parts += [array.reshape(-1).view(np.uint8).data, bytes(_aligned(array.nbytes) - array.nbytes)]
+    for block in blocks:
+        parts += [a.reshape(-1).view(np.uint8).data for a in block.arrays if a.nbytes]
+        parts.append(bytes(_aligned(block.nbytes) - block.nbytes))
     return parts
 
 
@@ -130,11 +154,12 @@ def pack_dataclass(record: Any) -> bytes:
     return b"".join(dataclass_parts(record))
 
 
-def dataclass_parts(record: Any) -> Parts:
-    """Return what `pack_dataclass` returns, as pieces that are still views of the arrays."""
-    columns: dict[str, np.ndarray] = {}
+def dataclass_parts(record: Any, **columns: Column) -> Parts:
+    """Return what `pack_dataclass` returns, as pieces that are still views of the arrays; `columns` replace its own."""
     meta: dict[str, Any] = {}
     for field in dataclasses.fields(record):
+        if field.name in columns:
+            continue
         value = getattr(record, field.name)
         if isinstance(value, np.ndarray):
             columns[field.name] = value
@@ -158,7 +183,7 @@ def unpack_dataclass(cls: type[T], buffer: Any, *, where: str = "buffer") -> T:
 
 
 def _frozen(value: Any) -> Any:
-    return tuple(_frozen(v) for v in value) if isinstance(value, list) else value
+    return tuple([_frozen(v) if isinstance(v, list) else v for v in value]) if isinstance(value, list) else value
 
 
 def files_parts(files: Mapping[str, bytes]) -> Parts:

@@ -287,10 +287,10 @@ def _candidates(inputs: Inputs, shard: Shard) -> Parts:
 
 
 def _candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
-    from farfield.candidates.generate import merge
+    from farfield.candidates.generate import merged_parts
     from farfield.candidates.model import Candidates
 
-    return dataclass_parts(merge([unpack_dataclass(Candidates, a) for a in artifacts]))
+    return merged_parts([unpack_dataclass(Candidates, a) for a in artifacts])
 
 
 # 8 placement --------------------------------------------------------------------------------------------------------

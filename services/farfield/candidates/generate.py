@@ -20,12 +20,13 @@ After    Jeschke et al., I3D 2005, section 4. Changed: placement.md section 6.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from farfield.candidates import kernels
 from farfield.candidates.model import BOX, SHAFT, Candidates
+from farfield.columns import Parts, dataclass_parts
 from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
 from farfield.impostor.plan import precision
@@ -288,15 +289,22 @@ def merge(parts: Sequence[Candidates]) -> Candidates:
     """Return the candidates of all shards, which must come in order of their clusters; ids are final."""
     if not parts:
         return _Rows().build()
-    offset = np.concatenate([[0], np.cumsum([p.row[-1] for p in parts])])
-    join = lambda name: np.concatenate([getattr(p, name) for p in parts])  # noqa: E731
-    merged = Candidates(
-        cluster=join("cluster"), kind=join("kind"), view_cell=join("view_cell"), bytes=join("bytes"),
-        layers=join("layers"), cost=join("cost"), view=join("view"), saved=join("saved"),
-        row=np.concatenate([[0], *(p.row[1:] + o for p, o in zip(parts, offset[:-1], strict=True))]).astype(np.int64),
-    )  # fmt: skip
+    columns = _joined(parts)
+    merged = Candidates(row=columns.pop("row")[0], **{name: np.concatenate(column) for name, column in columns.items()})
     assert (np.diff(merged.cluster) >= 0).all()
     return merged
+
+
+def merged_parts(parts: Sequence[Candidates]) -> Parts:
+    """Return the artifact of what `merge` returns, its columns still in the shards' own: some hundred megabytes."""
+    return dataclass_parts(parts[0], **_joined(parts)) if parts else dataclass_parts(merge(parts))
+
+
+def _joined(parts: Sequence[Candidates]) -> dict[str, list[np.ndarray]]:
+    offset = np.concatenate([[0], np.cumsum([p.row[-1] for p in parts])])
+    row = np.concatenate([[0], *(p.row[1:] + o for p, o in zip(parts, offset[:-1], strict=True))]).astype(np.int64)
+    names = [f.name for f in fields(Candidates) if f.name != "row"]
+    return {"row": [row]} | {name: [getattr(p, name) for p in parts] for name in names}
 
 
 def refit(

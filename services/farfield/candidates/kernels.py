@@ -219,10 +219,10 @@ def list_pairs(views, start, stop, left, right, nodes, floor, count, row, view, 
     a, b = nodes
     low, high = start[a], stop[a]
     tops = [a]
-    for c in range(a + 1, b):
-        if start[c] >= high:
-            tops.append(c)
-            high = stop[c]
+    for other in range(a + 1, b):
+        if start[other] >= high:
+            tops.append(other)
+            high = stop[other]
     count[:] = 0
     fill = len(view) > 0
     n_views = len(views.cost)

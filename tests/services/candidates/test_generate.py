@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from farfield.candidates.generate import UNFIT, directions, generate, merge, plan_shards, refit
+from farfield.candidates.generate import UNFIT, directions, generate, merge, merged_parts, plan_shards, refit
 from farfield.candidates.model import BOX, SHAFT
 from farfield.columns import pack_dataclass
 from farfield.geometry.cells import build_cells
@@ -113,6 +113,9 @@ def test_shards_and_blocks_do_not_show(monkeypatch):
     monkeypatch.setattr("farfield.candidates.generate.BLOCK_PAIRS", 1)
     again = merge([generate(*given[:4], given[4], settings=settings, nodes=s) for s in shards])
     assert pack_dataclass(whole) == pack_dataclass(again)
+    parts = [generate(*given[:4], given[4], settings=settings, nodes=s) for s in shards]
+    assert b"".join(merged_parts(parts)) == pack_dataclass(whole)
+    assert b"".join(merged_parts([])) == pack_dataclass(merge([]))
 
 
 def test_clusters_that_cannot_be_baked_are_no_candidates():
