@@ -476,7 +476,7 @@ STEPS: dict[Stage, Step] = {
              reads=("visibility.missed_ppm", "visibility.rays", "seed"), asks=("visibility.mode",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,
              run=_viewspace, merge=_viewspace_merge, reads=(_CAMERA, "view_space.interval_deg")),
-        Step(stage=Stage.CANDIDATES, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
+        Step(stage=Stage.CANDIDATES, version=2, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
              plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
              reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.view_cells")),
         Step(stage=Stage.PLACEMENT, version=4, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
