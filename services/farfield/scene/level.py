@@ -18,6 +18,7 @@ from farfield.scene.gltf import compose
 from farfield.scene.raw import RawMaterial, RawScene, RawTexture
 
 _FAR = 16.0  # scene extents from its own origin at which a mesh is moved
+_COARSE = 1e-4  # step of a position over the size of the largest mesh that shows
 _NORMAL_STEPS = 2**14
 VERTEX_BYTES, TRIANGLE_BYTES = 36, 12
 
@@ -70,6 +71,7 @@ def build_level(raw: RawScene, *, unit_m: float, up: str) -> Level:
     if not nodes:
         raise SceneEmpty("The scene has no triangles.")
     offsets = _offsets(raw, [n.mesh for n in nodes], matrices)
+    warnings += _coarse_steps(raw, offsets, nodes, matrices)
     for n, matrix in zip(nodes, matrices):
         if n.mesh in offsets:
             matrix[:3, 3] += (matrix[:3, :3] * offsets[n.mesh]).sum(1)
@@ -118,6 +120,26 @@ def _offsets(raw: RawScene, used: list[int], matrices: list[np.ndarray]) -> dict
         if m not in found and offset.any():
             found[m] = offset
     return found
+
+
+def _coarse_steps(raw: RawScene, offsets: dict[int, np.ndarray], nodes: list, matrices: list) -> list[str]:
+    """Return a warning where 32-bit numbers far from their origin say positions in steps that show."""
+    far = [(n, matrix) for n, matrix in zip(nodes, matrices) if n.mesh in offsets]
+    step = reach = size = 0.0
+    for n, matrix in far:
+        if raw.meshes[n.mesh][0].position.dtype != np.float32:
+            return []
+        scale = float(np.abs(matrix[:3, :3]).max())
+        offset = float(np.abs(offsets[n.mesh]).max())
+        extent = max(float((p.position.max(0) - p.position.min(0)).max()) for p in raw.meshes[n.mesh])
+        step, reach = max(step, scale * float(np.spacing(np.float32(offset)))), max(reach, scale * offset)
+        size = max(size, scale * extent)
+    if step <= _COARSE * size:
+        return []
+    return [
+        f"The file has positions about {reach:.3g} m from the origin as 32-bit numbers, in steps of {step:.2g} m; "
+        "export the level with its origin nearby, or with the offset in the transforms of its nodes."
+    ]
 
 
 def _pack(raw: RawScene, used: set[int], offsets: dict[int, np.ndarray], warnings: list[str]) -> Level:
