@@ -4,7 +4,8 @@ Problem  A camera anywhere in the view space, looking anywhere, must not be show
          interval) pairs may break that, and with which objects? Miss none; name few too many.
 Method   Down the view-space tree, then for each leaf cell the whole sphere, six faces, and a quadtree of intervals down
          to the smallest. A node whose enclosing frusta cost at most the target is done: everything below it costs less.
-         Only the objects that a node accepts are looked at below it. What an object costs depends on the cell alone.
+         Only the objects that a node accepts are looked at below it, and only those that some cell of it sees at all.
+         What an object costs depends on the cell alone.
 Errs     upwards: enclosing frusta accept a few objects that no view shows (farfield.geometry.frusta), and pixels are
          counted from the nearest point of the cell (farfield.rendertime.cost). No view costs more than its bound.
 Shards   Subtrees of the view-space tree, cut by a rule that knows nothing of workers; cells are independent.
@@ -67,13 +68,16 @@ def find_problem_views(
     cell_cost = np.zeros(cells.n_cells, dtype=np.int64)
     found: list[_CellViews] = []
     worst_nonproblem = 0
-    fixed = int(least_cost(model).sum())
+    least = least_cost(model)
     stack = [node]
     while stack:
         here = stack.pop()
         leaves = slice(cells.start[here], cells.stop[here])
+        below = search.seen_below(leaves)
         # Pixels and finer levels only add to that, so where it is above the target already the sum is not worth it.
-        whole = int(object_cost(model, scene.object_box, cells.box[here]).sum()) if fixed <= model.target else fixed
+        whole = int(least[below].sum())
+        if whole <= model.target:
+            whole = int(object_cost(model, scene.object_box, cells.box[here], objects=below).sum())
         if whole <= model.target:
             cell_cost[leaves] = whole
             worst_nonproblem = max(worst_nonproblem, whole)
@@ -125,13 +129,18 @@ class _Search:
         self.entries = np.empty(16 * n_objects, dtype=np.int32)
         self.everything = np.arange(n_objects, dtype=np.int32)
 
+    def seen_below(self, leaves: slice) -> np.ndarray:
+        """Return the objects (K,) i32 that some of the leaf cells see, ascending."""
+        if self.visible.mode == "off":
+            return self.everything
+        of_cells = self.visible.object[self.visible.row[leaves.start] : self.visible.row[leaves.stop]]
+        return of_cells if leaves.stop == leaves.start + 1 else np.unique(of_cells)
+
     def cell(self, cell: int, box: np.ndarray) -> tuple["_CellViews | None", int, int]:
         """Return the cell's problem views if any, the worst bound where the descent stopped, the worst within target."""
         # Only what the cell sees is looked at; places in that list stand for its objects.
         everything = self.visible.mode == "off"
-        first = self.everything
-        if not everything:
-            first = self.visible.object[self.visible.row[cell] : self.visible.row[cell + 1]]
+        first = self.seen_below(slice(cell, cell + 1))
         cost = object_cost(self.model, self.boxes, box, objects=first)
         whole = int(cost.sum())
         if whole <= self.model.target:

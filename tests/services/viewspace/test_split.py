@@ -196,3 +196,27 @@ def test_running_costs_are_the_costs_of_clusters():
             kernels.running_costs(runs, v, low, high, out)
             ends = np.arange(low, high + 1)
             assert out[: high - low + 1].tolist() == cluster_costs(views, v, low, ends).tolist()
+
+
+def test_a_node_costs_what_its_cells_see_together():
+    """With visible sets a budget that all cells of a subtree meet ends the descent there, whatever else stands around."""
+    scene = town(50, seed=3, view_m=64)
+    cells = build_cells(scene.view_boxes, scene.cell_m)
+    assert cells.n_cells > 3
+    sets = [np.array([c % 7, 10 + c % 3, 40]) for c in range(cells.n_cells)]
+    union = np.unique(np.concatenate(sets))
+    visible = VisibleSets(
+        mode="sampled",
+        row=np.cumsum([0, *map(len, sets)]).astype(np.int64),
+        object=np.concatenate(sets).astype(np.int32),
+    )
+    _, views = found(scene, settings_for(f"{len(union)} calls"), visible=visible, nodes=[0])
+    assert len(views.cell) == 0
+    assert (views.cell_cost == len(union)).all() and views.worst_nonproblem == len(union)
+    _, views = found(scene, settings_for(f"{len(union) - 1} calls"), visible=visible, nodes=[0])
+    assert len(views.cell) == 0 and views.cell_cost.max() < len(union), "a child was not looked at with its own union"
+    _, views = found(scene, settings_for("2 calls"), visible=visible, nodes=[0])
+    for v in range(len(views.cell)):
+        assert np.isin(view_objects(views, v)[0], sets[views.cell[v]]).all()
+    _, everything = found(scene, settings_for(f"{len(union)} calls"), nodes=[0])
+    assert len(everything.cell)
