@@ -35,7 +35,7 @@ from farfield.visibility.model import Sightings
 from farfield.visibility.rays import MISS, Rays
 
 SHARDS = 5  # at least as many, mostly some 8, unless that makes a shard smaller or larger than
-CELLS_A_SHARD = (16, 256)  # ... these: each builds its own ray tracer, and time must stay linear in the area
+CELLS_A_SHARD = (16, 512)  # ... these: each builds its own ray tracer, and time must stay linear in the area
 HELD_OUT = 2**19  # rays a shard, for stopping
 HELD_OUT_TRIES = 2**21  # points of the whole view space, for the certificate: a ray from each that is free
 VIEW_TRIES, VIEW_PX = 1024, 96  # views of the whole view space, rays a side
