@@ -27,6 +27,8 @@ def stretch(matrix: np.ndarray) -> np.ndarray:
     With B = A^T A its square is the largest eigenvalue of B, at most trace(B^k)^(1/k), k = 256. Scales by powers of two.
     """
     a = np.asarray(matrix, dtype=np.float64)[:, :, :3]
+    _, exponent = np.frexp(np.abs(a).max(axis=(1, 2), initial=0.0))
+    a = np.ldexp(a, -exponent[:, None, None])  # squares neither overflow nor vanish
     b = _product(a.transpose(0, 2, 1), a)
     size = _trace(b)
     b = b / np.where(size > 0, size, 1.0)[:, None, None]
@@ -39,7 +41,7 @@ def stretch(matrix: np.ndarray) -> np.ndarray:
         for _ in range(n):
             root = np.sqrt(root)
         power = power * root  # trace(B^(2^n))^(1/2^n), as far as it goes
-    return np.sqrt(size * power) * ROUNDING
+    return np.ldexp(np.sqrt(size * power) * ROUNDING, exponent)
 
 
 def sight(settings: Settings) -> float:

@@ -69,7 +69,7 @@ def test_a_finer_triangulation_of_the_same_plane_is_no_error():
 
 def test_known_distances():
     t = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
-    assert surface_distance(t, t + [0, 0, 0.5]) == pytest.approx(0.5, rel=1e-6)
+    assert surface_distance(t, t + np.array([0, 0, 0.5])) == pytest.approx(0.5, rel=1e-6)
     # A spike of one corner: from its tip back to the base, which the base's own points do not show.
     spike = np.concatenate([t, [[[0.2, 0.2, 0], [0.3, 0.2, 0], [0.25, 0.25, 3]]]])
     assert surface_distance(t, spike) == pytest.approx(3.0, rel=1e-6)

@@ -1,0 +1,60 @@
+"""A budget in triangles over curved meshes: levels of detail counted, written, verified, and drawn as counted."""
+
+import pytest
+from curved import SETTINGS, curved_level
+from farfield.evaluation.verify import Eye, draw_views, refuted, verify
+from farfield.placementdb.read import Placement
+
+
+@pytest.fixture(scope="module")
+def folders(run, tmp_path_factory):
+    """The curved level, placed with levels by two workers and by one, left to itself, and without."""
+    folder = tmp_path_factory.mktemp("curved")
+    (folder / "level.glb").write_bytes(curved_level())
+    out = {}
+    for name, mode, workers in (("on", "on", 2), ("alone", "on", 1), ("auto", "auto", 1), ("off", "off", 1)):
+        settings = folder / f"{mode}.toml"
+        settings.write_text(SETTINGS.format(budget="12000 triangles", mode=mode))
+        words = ("place", folder / "level.glb", "--settings", settings, "--workers", workers, "--json")
+        ran = run(*words, "--out", folder / name)
+        assert ran.code == 0, ran.err
+        out[name] = folder / name, ran.document
+    return out
+
+
+def test_levels_spare_problem_views_and_memory(folders):
+    (folder, on), (plain, off) = folders["on"], folders["off"]
+    assert on["verdict"] == off["verdict"] == "valid"
+    assert on["worst_geometry_cost"] < 0.5 * off["worst_geometry_cost"]
+    assert on["problem_views"] < off["problem_views"] and on["bytes"] < 0.6 * off["bytes"]
+    assert {s["name"]: s["skipped"] for s in off["stages"]}[
+        "detail"
+    ] == "detail.mode is off: objects are drawn as they are"
+    assert Placement.open(folder).manifest["version"] == 2 and Placement.open(plain).manifest["version"] == 1
+    assert (folder / "scene.glb").stat().st_size < 1.5 * (plain / "scene.glb").stat().st_size
+
+
+def test_workers_leave_no_trace_and_auto_is_on_where_triangles_are_counted(folders, files_of):
+    on, alone, auto = (files_of(folders[name][0]) for name in ("on", "alone", "auto"))
+    same = [name for name in on if name not in ("report.json",)]
+    assert [name for name in same if on[name] != alone[name]] == []
+    assert on["scene.glb"] == auto["scene.glb"]
+
+
+def test_no_view_is_over_budget_or_too_coarse(folders):
+    folder, _ = folders["on"]
+    found = verify(folder, views=3000, seed=9)
+    assert (found["over_budget"], found["over_bound"], found["outside_view_cell"], found["too_coarse"]) == (0, 0, 0, 0)
+    assert found["in_problem_views"] > 200 and found["worst_ratio"] > 0.9
+
+
+def test_verify_sees_levels_that_are_shown_too_near(folders):
+    placement = Placement.open(folders["on"][0])
+    eye, coarse = Eye(placement), 0
+    views = [(p, placement.lookup(p, d)) for p, d in draw_views(placement, 200, 1)]
+    assert any(v.levels.any() for _, v in views)
+    assert sum(eye.too_coarse(v, p) for p, v in views) == 0
+    placement.index["level_from"] = placement.index["level_from"] * 1.5  # after the lookups: what they allowed is wrong
+    coarse = sum(eye.too_coarse(v, p) for p, v in views)
+    assert coarse > 0
+    assert refuted({"over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "too_coarse": coarse})
