@@ -1,4 +1,4 @@
-"""The output of stage 8."""
+"""The output of stage 9."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The output of stage 6."""
+"""The output of stage 7."""
 
 from dataclasses import dataclass
 

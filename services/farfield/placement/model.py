@@ -1,4 +1,4 @@
-"""The output of stage 7, and of its shards where the view space is optimised in regions."""
+"""The output of stage 8, and of its shards where the view space is optimised in regions."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The output of stage 3."""
+"""The output of stage 4."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""The output of stage 5."""
+"""The output of stage 6."""
 
 from dataclasses import dataclass
 

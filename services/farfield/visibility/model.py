@@ -1,4 +1,4 @@
-"""The output of stage 4, and that of one of its shards."""
+"""The output of stage 5, and that of one of its shards."""
 
 from dataclasses import dataclass, field
 
