@@ -463,7 +463,7 @@ _CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.
 STEPS: dict[Stage, Step] = {
     step.stage: step
     for step in (
-        Step(stage=Stage.SCENE, version=2, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
+        Step(stage=Stage.SCENE, version=3, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
              reads=("scene", "view_space.boxes", "view_space.cell_m")),
         Step(stage=Stage.HIERARCHY, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_hierarchy, reads=()),
         Step(stage=Stage.DETAIL, version=1, queue=Queue.CPU, inputs=(_S,), skip=_detail_skip, plan=_detail_plan,
@@ -482,13 +482,13 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.PLACEMENT, version=4, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
-        Step(stage=Stage.BAKE, version=1, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
+        Step(stage=Stage.BAKE, version=2, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
         Step(stage=Stage.REPAIR, version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
         Step(stage=Stage.BOUND, version=1, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
              run=_bound, merge=_bound_merge, reads=("placement.bound",)),
-        Step(stage=Stage.PLACEMENTDB, version=2, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
+        Step(stage=Stage.PLACEMENTDB, version=3, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),
         Step(stage=Stage.EVALUATION, version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=_evaluation_plan,
              run=_evaluation, merge=_evaluation_merge, reads=("seed",)),

@@ -3,10 +3,12 @@
 Cell     A 48th of the root of the focus's ground area (a 16th of the cube root of its volume without ground), rounded
          to a power of two metres: some 2,000 cells. 16 or 32 m for a city, 0.25 m for a flat. Objects that reach four
          times farther than all others together (a sky dome, a far plain) are not part of the focus.
+         Twice that where the view space would have more than 4,608.
 Space    A band at eye height that follows the ground where there is some: in each column of the grid, from the lowest
-         ground + 1.5 m to the highest + 1.8 m. Ground is the lowest surface that faces up (down, in files turned inside
-         out) and is nearly level, over at least half of the convex hull of the focus's footprint (a level that stands
-         askew fills little of its box; roofs without a terrain fill little of their hull). Else the focus as a whole.
+         ground + 1.5 m to the highest + 1.8 m; where ground jumps by more than a cell (from the street to a roof), a
+         band at each height and nothing between. Ground is the lowest surface that faces up (down, in files turned
+         inside out) and is nearly level, over at least half of the convex hull of the focus's footprint (a level that
+         stands askew fills little of its box; roofs without a terrain little of their hull). Else the whole focus.
 Budget   Two fifths of the largest of 512 sampled views, by objects' spheres in the view's cone.
 Hints    Where the file does not say: a slab on its edge that has ground with z up; objects larger than any house.
 All are suggestions: `farfield inspect` and the dashboard show them with their reasons, and settings override them.
@@ -17,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from farfield.geometry.cells import cells_about
 from farfield.scene import kernels
 from farfield.scene.level import Level, measure
 from farfield.settings import Box, Settings
@@ -28,6 +31,7 @@ _SLAB = 0.25  # depth over the lesser of width and height of a level that may li
 _OUTLIER = 4.0
 _SAMPLES = 4  # a column and axis
 _COLUMNS = 512  # an axis, at most
+_MOST_CELLS = 2 * 48 * 48  # of a view space that is derived
 _HUMAN_HEIGHT_M, _HUMAN_SIDE_M = 2.2, 6.0
 _VIEWS, _BUDGET_SHARE = 512, 0.4
 _HINT_OBJECTS, _HINT_TRIANGLES, _HINT_SIZE_M = 16, 100, 250.0
@@ -57,20 +61,25 @@ def suggest(level: Level, *, settings: Settings) -> Suggestion:
     given = settings.view_space
     floor_cell_m = _nice(max(math.sqrt(_area(low, high)) / 48, float((high - low).max()) / _COLUMNS))
     ground = _ground(level, low, high, floor_cell_m)
+    eye, eye_why = _eye(low, high)
     if given.cell_m is not None:
         cell_m, cell_why = given.cell_m, "as set"
+        if ground is not None and given.boxes is None and cell_m != ground.step * _SAMPLES:
+            ground = sample_ground(level, low=low, high=high, cell_m=cell_m)
     elif ground is not None:
         cell_m = floor_cell_m
+        while cells_about(ground.columns(eye), cell_m) > _MOST_CELLS and given.boxes is None:
+            cell_m *= 2
+            ground = sample_ground(level, low=low, high=high, cell_m=cell_m)
         cell_why = f"about a 48th of {math.sqrt(_area(low, high)):.4g} m, the root of the ground's area"
+        if cell_m != floor_cell_m:
+            cell_why += f", {cell_m / floor_cell_m:g} times that: the ground has several levels"
     else:
         side = max(float(np.prod(high - low)) ** (1 / 3), float((high - low).max()) / 4)
         cell_m, cell_why = _nice(side / 16), f"about a 16th of {side:.4g} m, the mean side of the whole box"
     if given.boxes is not None:
         boxes, boxes_why = given.boxes, "as set"
     elif ground is not None:
-        eye, eye_why = _eye(low, high)
-        if cell_m != ground.step * _SAMPLES:
-            ground = sample_ground(level, low=low, high=high, cell_m=cell_m)
         boxes = merged_columns(ground.columns(eye))
         under = f"{ground.covered:.0%} of the level{eye_why}"
         boxes_why = f"a band {eye[0]:.4g} to {eye[1]:.4g} m above the ground, which lies under {under}"
@@ -130,18 +139,21 @@ class Ground:
         return float((np.isfinite(self.height) & within).sum() / max(1, within.sum()))
 
     def columns(self, eye: tuple[float, float]) -> np.ndarray:
-        """Return (B,2,3) boxes, one for each column of samples with ground, x-major."""
-        n = _SAMPLES
+        """Return (B,2,3) boxes, x-major, a box a column and level: levels are more than a column's width apart."""
+        n, side = _SAMPLES, self.step * _SAMPLES
         x, z = self.height.shape[0] // n, self.height.shape[1] // n
-        tiles = self.height.reshape(x, n, z, n).transpose(0, 2, 1, 3).reshape(x, z, n * n)
-        lowest = tiles.min(2)
-        highest = np.where(np.isfinite(tiles), tiles, -np.inf).max(2)
-        i, k = np.nonzero(np.isfinite(lowest))
-        side = self.step * n
+        tiles = np.sort(self.height.reshape(x, n, z, n).transpose(0, 2, 1, 3).reshape(x, z, n * n), axis=2)
+        there = np.isfinite(tiles)
+        # A level begins at the first sample of a column and where the next one is far above the last, and ends there.
+        apart = np.zeros_like(there[:, :, :-1])
+        apart[there[:, :, 1:]] = np.diff(np.where(there, tiles, 0.0), axis=2)[there[:, :, 1:]] > side
+        first = there & np.concatenate([np.ones((x, z, 1), bool), apart], axis=2)
+        last = there & np.concatenate([apart | ~there[:, :, 1:], np.ones((x, z, 1), bool)], axis=2)
+        i, k, _ = np.nonzero(first)
         # Samples stand at the middles of their squares.
         x0, z0 = self.x0 - self.step / 2, self.z0 - self.step / 2
-        low = np.stack([x0 + i * side, lowest[i, k] + eye[0], z0 + k * side], 1)
-        high = np.stack([x0 + (i + 1) * side, highest[i, k] + eye[1], z0 + (k + 1) * side], 1)
+        low = np.stack([x0 + i * side, tiles[first] + eye[0], z0 + k * side], 1)
+        high = np.stack([x0 + (i + 1) * side, tiles[last] + eye[1], z0 + (k + 1) * side], 1)
         return np.stack([low, high], 1)
 
 

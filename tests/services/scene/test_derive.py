@@ -56,6 +56,38 @@ def test_the_band_follows_a_slope_on_the_grid(tmp_path):
     assert find_cell(tree, s.view_boxes, eye - s.origin_m) >= 0
 
 
+def test_ground_that_jumps_has_a_band_at_each_height_and_none_between(tmp_path):
+    """A roof of 40 m in the middle of a plain, without walls or floor below: nobody stands in the air at its edge."""
+    level = Gltf()
+    h = np.float32(256)
+    ring = np.array([[-h, 0, -h], [h, 0, -h], [h, 0, h], [-h, 0, h]]) * 1.0
+    inner = ring / 4
+    ring_faces = [[i, (i + 1) % 4 + 4, (i + 1) % 4] for i in range(4)] + [[i, i + 4, (i + 1) % 4 + 4] for i in range(4)]
+    plain = level.primitive(np.concatenate([ring, inner]), np.array(ring_faces, np.uint16))
+    level.node(mesh=level.mesh(plain))
+    roof = (inner * 1.01 + [0, 40, 0]).astype(np.float32)
+    level.node(mesh=level.mesh(level.primitive(roof, np.array([0, 2, 1, 0, 3, 2], np.uint16))))
+    s, found = read(tmp_path, level)
+    boxes = np.array(found.boxes)
+    np.testing.assert_allclose(boxes[:, 1, 1] - boxes[:, 0, 1], 0.3)
+    assert sorted(set(boxes[:, 0, 1].tolist())) == [1.5, 41.5]
+    assert build_cells(s.view_boxes, s.cell_m).n_cells < 1.3 * 64 * 64
+
+
+def test_many_levels_take_larger_cells(tmp_path):
+    """Ground of 1 m squares at eight heights: nearly four bands in each of 4,096 columns of 2 m."""
+    level = Gltf()
+    rng = np.random.default_rng(0)
+    x, z = (a.reshape(-1) for a in np.meshgrid(np.arange(128.0), np.arange(128.0)))
+    low = np.stack([x, 20.0 * rng.integers(0, 8, len(x)), z], 1)
+    corner = (low[:, None] + np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])).reshape(-1, 3)
+    index = (4 * np.arange(len(x), dtype=np.uint32)[:, None] + np.array([0, 2, 1, 0, 3, 2], np.uint32)).reshape(-1, 3)
+    level.node(mesh=level.mesh(level.primitive(corner, index)))
+    s, found = read(tmp_path, level)
+    assert found.cell_m > 2.0 and "the ground has several levels" in found.cell_why
+    assert build_cells(s.view_boxes, s.cell_m).n_cells < 6000
+
+
 def test_without_ground_the_whole_box(tmp_path):
     level = Gltf()
     box = level.mesh(level.primitive(BOX_CORNERS, BOX_FACES))
