@@ -101,6 +101,8 @@ def _figures(report: Mapping[str, Any]) -> Table:
         gap = "" if bound["gap"] is None else f", {100 * bound['gap']:.0f} % more"
         rows.insert(4, ("proven bound", f"{_size(report['lower_bound_bytes'])} as estimated before the bake, where "
                                         f"{_size(bound['estimated_bytes'])} are placed{gap}"))  # fmt: skip
+    if (seen := report.get("visibility")) and seen["mode"] != "off":
+        rows.insert(2, ("visibility", _visibility(seen)))
     if report.get("device"):
         rows.append(("device", _device(report["device"])))
     if report["hopeless_views"]:
@@ -112,6 +114,16 @@ def _figures(report: Mapping[str, Any]) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _visibility(seen: Mapping[str, Any]) -> str:
+    missed = "no camera point to test it from"
+    if seen["missed_ppm_upper"] is not None:
+        missed = f"at most {seen['missed_ppm_upper']:.0f} missed pixels a million (95 %)"
+    if seen["p99_ppm"] is not None:
+        missed += f", {seen['p99_ppm']:.0f} in the worst view of 100"
+    closed = f", {seen['closed_cells']:,} cells closed" if seen["closed_cells"] else ""
+    return f"{seen['mode']}: a cell sees {seen['mean_objects']:,.0f} objects, {missed}{closed}"
 
 
 def _device(device: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ from farfield.scene.model import Scene
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
 from farfield.viewspace.model import ProblemViews
+from farfield.visibility.model import summary
 
 WORST_VIEWS, HOPELESS_VIEWS, CULPRITS = 16, 100, 32
 
@@ -89,6 +90,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         **{key: manifest[key] for key in ("bytes", "file_bytes", "video_bytes", "camera", "quality", "bounds",
                                           "view_space")},
         **_bound(inputs.get(Stage.BOUND)),
+        "visibility": summary(inputs.get(Stage.VISIBILITY), n_objects=scene.n_objects),
         "stages": ran, "seconds": round(math.fsum(s["seconds"] for s in ran), 3),
         "peak_bytes": max((s["peak_bytes"] for s in ran), default=0),
         "seed": settings.seed, "settings": to_mapping(settings),

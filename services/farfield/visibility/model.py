@@ -1,6 +1,7 @@
 """The output of stage 5, and that of one of its shards."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,17 @@ class VisibleSets:
 def off() -> VisibleSets:
     """Return the sets of a stage that was skipped."""
     return VisibleSets(mode="off", row=np.zeros(0, np.int64), object=_no_cells())
+
+
+def summary(visible: VisibleSets, *, n_objects: int) -> dict[str, Any]:
+    """Return what the report says of the sets, as JSON values; "mean_objects" is how many a cell sees."""
+    cells = len(visible.row) - 1
+    figures = ("mode", "rule", "seen_share", "rays", "held_out", "held_out_missed", "missed_ppm_upper", "views", "p99_ppm",
+               "worst_ppm")  # fmt: skip
+    return {
+        **{name: getattr(visible, name) for name in figures}, "closed_cells": len(visible.closed),
+        "mean_objects": round(len(visible.object) / cells, 1) if cells > 0 else float(n_objects),
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -57,6 +57,7 @@ def job(folder: Path, made: dict[str, Any], verified: bool = True) -> Inputs:
     models = {
         Stage.SCENE: made["scene"], Stage.RENDERTIME: made["model"], Stage.VIEWSPACE: made["views"],
         Stage.REPAIR: made["placement"], Stage.BAKE: made["baked"],
+        Stage.VISIBILITY: made["visible"],
         Stage.BOUND: Bound(method="lp", lower_bytes=400, placed_bytes=500, choices=89),
         Stage.CANDIDATES: SimpleNamespace(cluster=np.zeros(77)),
     }  # fmt: skip

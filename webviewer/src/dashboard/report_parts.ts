@@ -30,6 +30,11 @@ export function certificate(report: Report, placement: string): HTMLElement {
   if (known(report.hopeless_views)) rest.push(["Hopeless views", count(report.hopeless_views), known(report.problem_views) ? `of ${count(report.problem_views)}` : ""]);
   if (report.smallest_budget && report.hopeless_views) rest.push(["Smallest feasible budget", report.smallest_budget.text, "with these candidates"]);
   if (known(report.bytes)) rest.push(["Impostor memory", bytes(report.bytes), known(report.impostors) ? plural(report.impostors, "impostor") : ""]);
+  const seen = report.visibility;
+  if (seen && seen.mode !== "off") {
+    const missed = known(seen.missed_ppm_upper) ? `at most ${seen.missed_ppm_upper.toFixed(0)} missed pixels a million (95 %)${known(seen.p99_ppm) ? `, ${seen.p99_ppm.toFixed(0)} in the worst view of 100` : ""}` : "no camera point to test it from";
+    rest.push(["Objects a cell sees", seen.mean_objects.toFixed(0), `${seen.mode}; ${missed}${seen.closed_cells ? `; ${seen.closed_cells} cells closed` : ""}`]);
+  }
   if (report.bound && known(report.lower_bound_bytes)) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `before the bake; ${bytes(report.bound.estimated_bytes)} placed${known(report.bound.gap) ? `, ${(100 * report.bound.gap).toFixed(0)} % more` : ""}`]);
   if (known(report.file_bytes)) rest.push(["Files", bytes(report.file_bytes), known(report.pages) ? plural(report.pages, "page") : ""]);
   if (known(report.video_bytes)) rest.push(["Video memory, all pages", bytes(report.video_bytes), ""]);
