@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -233,3 +234,19 @@ def test_a_damaged_page_stops_verify(tmp_path: Path) -> None:
     page.write_bytes(page.read_bytes()[:-1])
     with pytest.raises(PlacementFileError, match=page.name):
         verify(folder, views=1)
+
+
+def test_only_the_visible_set_of_the_cell_is_drawn_and_counted(tmp_path: Path) -> None:
+    made = made_up(n_objects=40, n_impostors=6, budget=57, share=1.0, visible=True, seed=4)
+    placement, visible = Placement.open(save(made, tmp_path) / "placement"), made["visible"]
+    eye, hidden = Eye(placement), 0
+    for position, direction in draw_views(placement, 200, 0):
+        v = placement.lookup(position, direction)
+        seen = set(visible.object[visible.row[v.cell] : visible.row[v.cell + 1]].tolist())
+        covered = {int(o) for i in v.impostors for o in placement.impostors[int(i)].objects}
+        assert set(v.objects.tolist()) == seen - covered
+        cost, drawn = eye.cost(v, position, direction)
+        assert cost == placement.manifest["cost_model"]["per_frame"] + drawn + len(v.impostors)  # in calls
+        everything = replace(v, objects=np.arange(40), levels=np.zeros(40, dtype=v.levels.dtype))
+        hidden += eye.cost(everything, position, direction)[1] > drawn
+    assert hidden > 20
