@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from farfield.bake.shade import DECODE
 from PIL import Image
 
-MAGENTA = (255, 0, 255)
+THROUGH = 0.1  # of a pixel: less than one of its samples
 SKY = [0.62, 0.74, 0.82]  # the viewer's own
 
 
@@ -22,7 +23,7 @@ class Compared:
     coverage: float  # share that shows an impostor
     flip: float  # mean over the covered pixels
     flip_picture: float  # mean over the whole picture
-    holes: int  # pixels that are geometry in the truth, more than a pixel from its sky, and sky with impostors
+    holes: int  # pixels that let through more of the background (THROUGH) than the truth does within a pixel around
     shown: np.ndarray  # (H,W,3) u1
     truth: np.ndarray
 
@@ -46,18 +47,17 @@ def compare(page: Any, position: Sequence[float], direction: Sequence[float]) ->
     stats = set_view(page, position, direction)
     covered = picture(page, "coverage").any(-1)
     shown = picture(page)
-    page.evaluate("farfield.setMode({background: [1, 0, 1]})")
-    sky_shown = (picture(page) == MAGENTA).all(-1)
+    through_shown = _through(page)
     page.evaluate("farfield.setMode({impostors: false})")
-    sky_truth = (picture(page) == MAGENTA).all(-1)
-    page.evaluate("background => farfield.setMode({background})", SKY)
+    through_truth = _through(page)
     truth = picture(page)
     page.evaluate("farfield.setMode({impostors: true})")
+    holes = through_shown > _most_around(through_truth) + THROUGH
     as_floats = [(p / 255).astype(np.float32) for p in (truth, shown)]
     errors = flip_evaluator.evaluate(*as_floats, "LDR", applyMagma=False)[0].reshape(covered.shape)
     return Compared(
         stats=stats, coverage=float(covered.mean()), flip=float(errors[covered].mean()) if covered.any() else 0.0,
-        flip_picture=float(errors.mean()), holes=int((sky_shown & ~_grow(sky_truth)).sum()), shown=shown, truth=truth,
+        flip_picture=float(errors.mean()), holes=int(holes.sum()), shown=shown, truth=truth,
     )  # fmt: skip
 
 
@@ -68,8 +68,18 @@ def save(folder: Path, name: str, view: Compared) -> None:
         Image.fromarray(getattr(view, kind)).save(folder / f"{name}-{kind}.png")
 
 
-def _grow(mask: np.ndarray) -> np.ndarray:
-    """Return the mask with its eight neighbours."""
-    wide = np.pad(mask, 1)
-    h, w = mask.shape
-    return np.logical_or.reduce([wide[i : i + h, j : j + w] for i in range(3) for j in range(3)])
+def _through(page: Any) -> np.ndarray:
+    """Return (H,W) the share of each pixel that shows the background: what its light adds. Leaves SKY there."""
+    light = []
+    for level in (0, 1):
+        page.evaluate("background => farfield.setMode({background})", [level] * 3)
+        light.append(DECODE[picture(page)].mean(-1))
+    page.evaluate("background => farfield.setMode({background})", SKY)
+    return light[1] - light[0]
+
+
+def _most_around(share: np.ndarray) -> np.ndarray:
+    """Return the largest of each pixel and its eight neighbours."""
+    wide = np.pad(share, 1)
+    h, w = share.shape
+    return np.maximum.reduce([wide[i : i + h, j : j + w] for i in range(3) for j in range(3)])

@@ -53,9 +53,9 @@ def texels(width: int, height: int, k: int) -> np.ndarray:
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     rgb = np.stack([(x * 3 + k * 31) % 256, (y * 5 + k * 17) % 256, np.full_like(x, (k * 73) % 256)], axis=-1)
     inside = ((x + 0.5) / width - 0.5) ** 2 + ((y + 0.5) / height - 0.5) ** 2 <= 0.3
-    alpha = np.where(inside & ((x // 4 + y // 4 + k) % 7 != 0), 1 + (y * 7 + k) % 255, 0)
+    alpha = np.where(inside & ((x // 4 + y // 4 + k) % 7 != 0), 1 + (y * 7 + k) % 252, 0)
     if width * height == 1:
-        alpha[:] = 255
+        alpha[:] = 252
     return np.concatenate([rgb, alpha[..., None]], axis=-1).astype(np.uint8)
 
 

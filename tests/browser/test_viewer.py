@@ -164,7 +164,10 @@ def test_geometry_is_lit_as_the_bake_lights_it(folders: dict[str, Path], open_pa
         for g in json.loads((folders["placementdb"] / "placement/lookups.json").read_text())["lookups"][:8]:
             _set_view(page, g["position"], g["direction"])
             picture = _picture(page.evaluate("farfield.capture()")).astype(int)
-            packed = np.unique(picture @ [65536, 256, 1])
+            packed = picture @ [65536, 256, 1]
+            inner = packed[1:-1, 1:-1]  # edges are mixed: only pixels like all four neighbours
+            around = (packed[:-2, 1:-1], packed[2:, 1:-1], packed[1:-1, :-2], packed[1:-1, 2:])
+            packed = np.unique(inner[np.logical_and.reduce([inner == other for other in around])])
             colors = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=-1)
             colors = colors[(colors != [255, 0, 255]).any(1)]
             found += len(colors)
@@ -208,9 +211,12 @@ def test_walks_by_keyboard_and_toggles_by_key(folders: dict[str, Path], open_pag
         page.evaluate("farfield.ready()")
         before = page.evaluate("farfield.stats()")
         page.keyboard.down("w")
-        page.wait_for_timeout(600)
+        for _ in range(40):  # frames of a busy machine are few, and none moves farther than a tenth of a second's walk
+            page.wait_for_timeout(250)
+            after = page.evaluate("farfield.stats()")
+            if np.linalg.norm(np.subtract(after["position"], before["position"])) > 0.5:
+                break
         page.keyboard.up("w")
-        after = page.evaluate("farfield.stats()")
         assert np.linalg.norm(np.subtract(after["position"], before["position"])) > 0.5
         assert after["inside"]
         for key, box in {
@@ -306,7 +312,7 @@ def test_never_shows_a_hole_while_pages_are_on_their_way(folders: dict[str, Path
         (
             "manifest.json",
             b'{"format":"farfield placement","version":7}',
-            "format version 7; this farfield reads version 1",
+            "format version 7; this farfield reads version 4",
         ),
         ("manifest.json", 404, "manifest.json is missing"),
         ("index-", b"FARFIELD", "is truncated: 8 of at least"),

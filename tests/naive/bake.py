@@ -63,4 +63,10 @@ def distances(baked: BakedLayers, layer: int) -> np.ndarray:
     """Return (h,w) the distance from the eye's plane that alpha stands for; infinity where empty."""
     alpha = layer_texels(baked, layer)[..., 3].astype(float)
     near, far = 1 / baked.near[layer], 1 / baked.far[layer]
-    return np.where(alpha > 0, 1 / (far + (np.maximum(alpha, 1) - 1) / 254 * (near - far)), np.inf)
+    return np.where(alpha > 0, 1 / (far + (np.maximum(alpha, 1) - 1) // 4 / 62 * (near - far)), np.inf)
+
+
+def shares(baked: BakedLayers, layer: int) -> np.ndarray:
+    """Return (h,w) the share of each texel that is drawn: 0, or a quarter to 1."""
+    alpha = layer_texels(baked, layer)[..., 3].astype(int)
+    return np.where(alpha > 0, ((alpha - 1) % 4 + 1) / 4, 0.0)

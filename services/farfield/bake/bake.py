@@ -20,13 +20,15 @@ from typing import Any, Literal
 import numpy as np
 
 from farfield.bake import coverage
+from farfield.bake.area import compose, layer_starts, sample
+from farfield.bake.beside import mark_beside
 from farfield.bake.clip import bound, cut, gather
 from farfield.bake.crop import crop
 from farfield.bake.gl.context import NoContext
 from farfield.bake.model import BakedLayers
 from farfield.bake.records import Surface
-from farfield.bake.shade import DECODE, ENCODE, LIGHTS, shade
-from farfield.bake.sheets import lay_out, part
+from farfield.bake.shade import DECODE, ENCODE, LIGHTS
+from farfield.bake.sheets import lay_out
 from farfield.bake.textures import Pyramids, decode
 from farfield.hierarchy.model import Hierarchy
 from farfield.impostor.kernels import cut_triangles
@@ -149,23 +151,27 @@ def bake_batch(
         pieces = cut(sources, plan)
         slabs = bound(pieces, plan)
         first, texels, triangles, pixels = len(rows.layer), 0, 0, 0.0
+        start = layer_starts(slabs)
+        rgba, points = np.zeros((int(start[-1]), 4), np.uint8), np.zeros(int(start[-1]), np.uint16)
         for layers, size in lay_out(slabs):
             sheet = record(sources, pieces, slabs, surface, layers, size)
-            rgba = shade(sources, pieces, slabs, surface, layers, sheet)
-            for k in range(*layers):
-                found = crop(part(rgba, slabs, k))
-                if found is None:
-                    continue
-                tile, (x, y), corners = found
-                low = slabs.low[k].astype(np.int64)
-                at = (int(low[0]) + x, int(low[1]) + y)
-                size_k = (tile.shape[1], tile.shape[0])
-                tile_id = rows.add_tile(size_k, tile.reshape(-1))
-                plane = float(plan.plane[k])
-                rows.layer.append((plane, float(plan.near[k]), float(plan.far[k]), corners + low, tile_id, at))
-                texels += size_k[0] * size_k[1]
-                triangles += len(corners) - 2 + cut_triangles(*size_k)
-                pixels += layer_pixels(model, plan, k, size_k)
+            sample(sources, pieces, slabs, surface, layers, sheet, start, rgba, points)
+        beside = mark_beside(scene, (a, b), hierarchy.box[cluster], plan, slabs, start)
+        rgba = compose(slabs, surface, start, rgba, points, beside)
+        for k, (width, height) in enumerate(slabs.size.tolist()):
+            found = crop(rgba[start[k] : start[k + 1]].reshape(height, width, 4))
+            if found is None:
+                continue
+            tile, (x, y), corners = found
+            low = slabs.low[k].astype(np.int64)
+            at = (int(low[0]) + x, int(low[1]) + y)
+            size_k = (tile.shape[1], tile.shape[0])
+            tile_id = rows.add_tile(size_k, tile.reshape(-1))
+            plane = float(plan.plane[k])
+            rows.layer.append((plane, float(plan.near[k]), float(plan.far[k]), corners + low, tile_id, at))
+            texels += size_k[0] * size_k[1]
+            triangles += len(corners) - 2 + cut_triangles(*size_k)
+            pixels += layer_pixels(model, plan, k, size_k)
         rows.impostor.append((
             plan.eye, plan.right, plan.up, plan.slope0, plan.texel, plan.resolution,
             impostor_bytes(texels, len(rows.layer) - first), impostor_cost(model, triangles=triangles, pixels=pixels),

@@ -72,7 +72,7 @@ def gather(scene: Scene, objects: tuple[int, int], plan: LayerPlan, *, kind: int
     corner, vertex = corner[:found], vertex[:found]
     snapped, inverse = np.empty((found, 6), np.int32), np.empty((found, 3))
     reciprocal = np.empty((found, 3), np.float32)
-    outside = kernels.snap_sources(corner, vertex, *_grid(plan), snapped, inverse, reciprocal)
+    outside = kernels.snap_sources(corner, vertex, *grid(plan), snapped, inverse, reciprocal)
     if outside < 0:
         raise ObjectTouchesViewCell(f"a triangle of objects {start} to {stop} is not in front of the eye")
     if outside > _OUTSIDE:
@@ -89,7 +89,7 @@ def cut(sources: Sources, plan: LayerPlan) -> Pieces:
     kernels.count_pieces(sources.corner, near, far, count)
     row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     piece, source = np.empty((int(row[-1]), 6), np.int32), np.empty(int(row[-1]), np.int32)
-    kernels.fill_pieces(sources.corner, sources.snapped, near, far, *_grid(plan), row[:-1].copy(), piece, source)
+    kernels.fill_pieces(sources.corner, sources.snapped, near, far, *grid(plan), row[:-1].copy(), piece, source)
     return Pieces(row, piece, source)
 
 
@@ -97,13 +97,14 @@ def bound(pieces: Pieces, plan: LayerPlan) -> Slabs:
     """Return the slabs with the rectangle of texels that each layer's pieces touch; `at` is still 0."""
     k = len(plan.near)
     low, size = np.zeros((k, 2), np.int32), np.zeros((k, 2), np.int32)
-    kernels.bound_pieces(pieces.row, pieces.snapped, _grid(plan)[2], low, size)
+    kernels.bound_pieces(pieces.row, pieces.snapped, grid(plan)[2], low, size)
     far = np.asarray(plan.far, np.float64)
     inverse_far = np.where(np.isinf(far), 0.0, 1 / far)
     return Slabs(1 / np.asarray(plan.near, np.float64), inverse_far, low, size, np.zeros((k, 2), np.int32))
 
 
-def _grid(plan: LayerPlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def grid(plan: LayerPlan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return slope0, texel (2,) f64 and resolution (2,) i64 of the texel grid, as kernels take them."""
     return (
         np.array(plan.slope0, np.float64), np.array(plan.texel, np.float64), np.array(plan.resolution, np.int64),
     )  # fmt: skip

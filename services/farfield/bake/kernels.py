@@ -205,3 +205,69 @@ def bound_pieces(row, piece, side, low, size):
             first = max(-((-first) // SNAP) - 1, 0)  # closed: a corner on a texel's edge touches both
             last = min(last // SNAP, side[a] - 1)
             low[k, a], size[k, a] = first, last - first + 1
+
+
+@njit(cache=True)
+def snap_corners(corner, slope0, texel, side, snapped):
+    """Fill the snapped corners of triangles that lie in front of the eye."""
+    for s in range(len(corner)):
+        for c in range(3):
+            for a in range(2):
+                snapped[s, 2 * c + a] = snap(corner[s, c, a] / corner[s, c, 2], slope0[a], texel[a], side[a])
+
+
+@njit(cache=True)
+def _keep_side(polygon, n, axis, sign, border, out):
+    """Clip polygon (n corners) to sign * x[axis] <= sign * border; return how many corners `out` gets."""
+    m = 0
+    for c in range(n):
+        p, q = polygon[c], polygon[(c + 1) % n]
+        a, b = sign * (border - p[axis]), sign * (border - q[axis])
+        if a >= 0:
+            out[m] = p
+            m += 1
+        if (a > 0 and b < 0) or (a < 0 and b > 0):
+            for d in range(3):
+                out[m, d] = p[d] + a / (a - b) * (q[d] - p[d])
+            out[m, axis] = border
+            m += 1
+    return m
+
+
+@njit(cache=True)
+def gather_inside(position, index, primitive_triangle, mesh_primitive, primitive_vertex, object_mesh, object_matrix,
+                  objects, low, high, eye, axes, corner):  # fmt: skip
+    """Fill the triangles of these objects, clipped to a box, in frame coordinates; return how many. Corner must hold
+    seven for each. The box must lie in front of the eye."""
+    n = 0
+    world, other = np.empty((9, 3)), np.empty((9, 3))
+    for o in objects:
+        m, mesh = object_matrix[o], object_mesh[o]
+        for p in range(mesh_primitive[mesh], mesh_primitive[mesh + 1]):
+            for t in range(primitive_triangle[p], primitive_triangle[p + 1]):
+                outside = False
+                for a in range(3):
+                    least, most = np.inf, -np.inf
+                    for c in range(3):
+                        v = position[index[t, c]]
+                        x = m[a, 0] * v[0] + m[a, 1] * v[1] + m[a, 2] * v[2] + m[a, 3]
+                        world[c, a] = x
+                        least, most = min(least, x), max(most, x)
+                    outside = outside or least > high[a] or most < low[a]
+                if outside:
+                    continue
+                count = 3
+                for a in range(3):
+                    count = _keep_side(world, count, a, 1.0, high[a], other)
+                    count = _keep_side(other, count, a, -1.0, low[a], world)
+                for f in range(1, count - 1):
+                    for c in range(3):
+                        w = world[0] if c == 0 else world[f + c - 1]
+                        for a in range(3):
+                            corner[n, c, a] = (
+                                axes[a, 0] * (w[0] - eye[0])
+                                + axes[a, 1] * (w[1] - eye[1])
+                                + axes[a, 2] * (w[2] - eye[2])
+                            )
+                    n += 1
+    return n

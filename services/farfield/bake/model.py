@@ -14,8 +14,8 @@ class BakedLayers:
     back), (a, b) its slopes. Layer k lies at distance `plane` from the eye (t + s of error-metric.md), its slab is
     [near, far] from the eye. Texel (i, j) of the impostor's grid covers slopes slope0 + [i, i+1) x [j, j+1) * texel.
     A tile holds rows from j low to high (b upwards) of texels x0.. by y0..: RGBA8, straight alpha; RGB is sRGB;
-    alpha is 0 where empty, else 1..255 from far to near, linear in 1 / distance:
-    1 / distance = 1 / far + (alpha - 1) / 254 * (1 / near - 1 / far).
+    alpha is 0 where empty, else 4 step + quarters: step 0..62 is the depth from far to near, linear in 1 / distance,
+    1 / distance = 1 / far + step / 62 * (1 / near - 1 / far), and quarters 1..4 the share of the texel that is drawn.
     """
 
     eye: np.ndarray  # (I,3) f64  relative to the scene's origin_m

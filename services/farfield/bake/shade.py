@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from farfield.bake.records import Pieces, Slabs, Sources, Surface
-from farfield.bake.sample import color_at, image_weights, surface_weights, tint
+from farfield.bake.sample import color_at, image_weights, surface_weights
 
 # Linear RGB; the direction points to the sun, y up.
 LIGHTING: dict[str, tuple[float, float, float]] = {
@@ -30,6 +29,7 @@ _BYTE = np.arange(256) / 255
 DECODE = np.where(_BYTE <= 0.04045, _BYTE / 12.92, ((_BYTE + 0.055) / 1.055) ** 2.4)  # sRGB byte -> linear
 _HALF = (np.arange(255) + 0.5) / 255
 ENCODE = np.where(_HALF <= 0.04045, _HALF / 12.92, ((_HALF + 0.055) / 1.055) ** 2.4)  # thresholds between bytes
+DEPTH_STEPS = 62  # of a slab, in alpha: with four shares of coverage 252 values and 0
 LIGHTS = np.array([LIGHTING[k] for k in ("sun_direction", "sun", "sky", "ground")])
 
 
@@ -46,7 +46,7 @@ def light(normal: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _encode(thresholds: Any, value: float) -> int:
+def encode(thresholds: Any, value: float) -> int:
     """As `encode_srgb`, for one value: a guess from the square root, then steps (twice as fast as a search)."""
     byte = int(min(math.sqrt(max(value, 0.0)) * 255, 255.0))
     while byte < 255 and value >= thresholds[byte]:
@@ -57,69 +57,41 @@ def _encode(thresholds: Any, value: float) -> int:
 
 
 @njit(cache=True)
-def _shade(sources: Any, pieces: Any, slabs: Any, surface: Any, first_layer: int, last_layer: int, sheet: Any,
-           rgba: Any) -> None:  # fmt: skip
-    out, uv, shown, sums = np.empty(10), np.empty((3, 2)), np.empty(4), np.empty(3)
-    n, local = np.empty(3), np.empty(3)
-    lights = surface.lights
-    # Columns by name: handing whole tuples of arrays to a function costs more than its work (390 -> 100 ns a texel).
-    snapped, inverse, vertex, material, away = (
-        sources.snapped, sources.inverse, sources.vertex, sources.material, sources.away,
-    )  # fmt: skip
-    owner, source, texture, tints, base_color = (
-        sources.object, pieces.source, surface.texture, surface.color, surface.base_color,
-    )  # fmt: skip
-    normal, turns, emissive, double_sided, encode = (
-        surface.normal, surface.turn, surface.emissive, surface.double_sided, surface.encode,
-    )  # fmt: skip
-    for k in range(first_layer, last_layer):
-        near, far = slabs.inverse_near[k], slabs.inverse_far[k]
-        for y in range(slabs.at[k, 1], slabs.at[k, 1] + slabs.size[k, 1]):
-            for x in range(slabs.at[k, 0], slabs.at[k, 0] + slabs.size[k, 0]):
-                if sheet[y, x] == 0:
-                    continue
-                s = source[sheet[y, x] - 1]
-                cx = 256.0 * (x - slabs.at[k, 0] + slabs.low[k, 0]) + 128
-                cy = 256.0 * (y - slabs.at[k, 1] + slabs.low[k, 1]) + 128
-                m = material[s]
-                image_weights(snapped[s], cx, cy, out[4:7])
-                one_over_z = surface_weights(inverse[s], out[4:7], out[7:10])
-                w0, w1, w2 = out[7], out[8], out[9]
-                if texture[m] >= 0:
-                    sums[:] = 0.0
-                    for sub in range(4):  # 2 x 2 samples of half a texel each
-                        sx, sy = cx + (128 * (sub % 2) - 64), cy + (128 * (sub // 2) - 64)
-                        color_at(sources, surface, s, sx, sy, 0.5, out, uv, shown)
-                        for c in range(3):
-                            sums[c] += out[c] / 4
-                else:
-                    tint(tints, base_color, vertex[s], out[7:10], m, sums)
-                v0, v1, v2 = vertex[s, 0], vertex[s, 1], vertex[s, 2]
-                for c in range(3):
-                    local[c] = w0 * normal[v0, c] + w1 * normal[v1, c] + w2 * normal[v2, c]
-                turn = turns[owner[s]]
-                for c in range(3):
-                    n[c] = turn[c, 0] * local[0] + turn[c, 1] * local[1] + turn[c, 2] * local[2]
-                length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-                if length > 0:
-                    length = -length if away[s] and double_sided[m] else length
-                    n[0], n[1], n[2] = n[0] / length, n[1] / length, n[2] / length
-                sunny = max(n[0] * lights[0, 0] + n[1] * lights[0, 1] + n[2] * lights[0, 2], 0.0)
-                for c in range(3):
-                    falls = lights[3, c] + (lights[2, c] - lights[3, c]) * ((n[1] + 1) / 2) + lights[1, c] * sunny
-                    value = sums[c] * falls + emissive[m, c]
-                    rgba[y, x, c] = _encode(encode, value)
-                u = (one_over_z - far) / (near - far) if near > far else 1.0
-                rgba[y, x, 3] = 1 + math.floor(254 * min(max(u, 0.0), 1.0) + 0.5)
+def shade_at(
+    sources: Any, surface: Any, s: int, cx: float, cy: float, detail: float, out: Any, uv: Any, shown: Any, color: Any
+) -> None:
+    """Fill color (3,) f64 with what shows of triangle s at (cx, cy), 1/256 texels: linear, within [0, 1].
 
-
-def shade(sources: Sources, pieces: Pieces, slabs: Slabs, surface: Surface, layers: tuple[int, int],
-          sheet: np.ndarray) -> np.ndarray:  # fmt: skip
-    """Return (height, width, 4) u1: colour and depth of what `sheet` records for layers [a, b); 0 where empty.
-
-    Depth is rounded to the nearest of its 255 steps: the error is at most half a step either way, and the two slabs of
-    a border agree on it (255 of the far one and 1 of the near one mean the same distance).
+    detail, out, uv, shown as in `color_at`. Outside the triangle it is the point of it closest to (cx, cy).
     """
-    rgba = np.zeros((*sheet.shape, 4), np.uint8)
-    _shade(sources, pieces, slabs, surface, *layers, sheet, rgba)
-    return rgba
+    color_at(sources, surface, s, cx, cy, detail, out, uv, shown)
+    m, lights = sources.material[s], surface.lights
+    w0, w1, w2 = out[7], out[8], out[9]
+    v0, v1, v2 = sources.vertex[s, 0], sources.vertex[s, 1], sources.vertex[s, 2]
+    turn = surface.turn[sources.object[s]]
+    x = w0 * surface.normal[v0, 0] + w1 * surface.normal[v1, 0] + w2 * surface.normal[v2, 0]
+    y = w0 * surface.normal[v0, 1] + w1 * surface.normal[v1, 1] + w2 * surface.normal[v2, 1]
+    z = w0 * surface.normal[v0, 2] + w1 * surface.normal[v1, 2] + w2 * surface.normal[v2, 2]
+    nx = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z
+    ny = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z
+    nz = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length > 0:
+        length = -length if sources.away[s] and surface.double_sided[m] else length
+        nx, ny, nz = nx / length, ny / length, nz / length
+    sunny = max(nx * lights[0, 0] + ny * lights[0, 1] + nz * lights[0, 2], 0.0)
+    for c in range(3):
+        falls = lights[3, c] + (lights[2, c] - lights[3, c]) * ((ny + 1) / 2) + lights[1, c] * sunny
+        color[c] = min(max(out[c] * falls + surface.emissive[m, c], 0.0), 1.0)
+
+
+@njit(cache=True)
+def depth_code(sources: Any, s: int, cx: float, cy: float, near: float, far: float, out: Any) -> int:
+    """Return 1 + the depth, 0 to DEPTH_STEPS from far to near, of the point of triangle s next to (cx, cy).
+
+    Rounded to the nearest step: the error is at most half a step either way, and the two slabs of a border agree on it.
+    """
+    image_weights(sources.snapped[s], cx, cy, out[4:7])
+    one_over_z = surface_weights(sources.inverse[s], out[4:7], out[7:10])
+    u = (one_over_z - far) / (near - far) if near > far else 1.0
+    return int(1 + math.floor(DEPTH_STEPS * min(max(u, 0.0), 1.0) + 0.5))

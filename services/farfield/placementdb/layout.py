@@ -6,8 +6,8 @@ import numpy as np
 
 from farfield.impostor.weight import PAGE_TEXELS as PAGE_TEXELS
 
-FORMAT, VERSION = "farfield placement", 2
-PLAIN_VERSION = 1  # of a placement without levels of detail: readers of that version know all of it
+FORMAT, VERSION = "farfield placement", 4
+PLAIN_VERSION = 3  # of a placement without levels of detail: readers of that version know all of it. Older: refused
 MANIFEST = "manifest.json"
 INDEX_KIND, CHUNK_KIND = "PlacementIndex", "PlacementChunk"
 NAME_DIGITS = 16  # hex digits of the SHA-256 in a file's name

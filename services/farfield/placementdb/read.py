@@ -303,8 +303,8 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise ColumnsAltered(layout.MANIFEST, "it is not JSON") from error
     if not isinstance(manifest, dict) or manifest.get("format") != layout.FORMAT:
         raise NotColumns(layout.MANIFEST)
-    if isinstance(manifest.get("version"), int) and manifest["version"] > layout.VERSION:
-        raise ColumnsTooNew(layout.MANIFEST, manifest["version"], layout.VERSION)
+    if isinstance(v := manifest.get("version"), int) and not layout.PLAIN_VERSION <= v <= layout.VERSION:
+        raise ColumnsTooNew(layout.MANIFEST, v, layout.VERSION)
     stated = _DIGEST.findall(text)
     zeroed = _DIGEST.sub(layout.DIGEST_KEY + b"0" * 64, text)
     if len(stated) != 1 or hashlib.sha256(zeroed).hexdigest() != stated[0].decode():

@@ -90,7 +90,7 @@ def test_from_the_eye_the_impostor_is_the_picture_of_the_geometry(houses, baked)
             z = naive.distances(baked, k)
             part = np.s_[y : y + z.shape[0], x : x + z.shape[1]]
             picture[part] = np.where(np.isfinite(z), z, picture[part])
-            slack[part] = np.where(np.isfinite(z), (1 / baked.near[k] - 1 / baked.far[k]) / 254, slack[part])
+            slack[part] = np.where(np.isfinite(z), (1 / baked.near[k] - 1 / baked.far[k]) / 62, slack[part])
         grid = [baked.slope0[i, a] + (np.arange(n) + 0.5) * baked.texel[i, a] for a, n in enumerate((w, h))]
         back = np.cross(baked.right[i], baked.up[i])
         rays = grid[0][None, :, None] * baked.right[i] + grid[1][:, None, None] * baked.up[i] - back

@@ -112,8 +112,8 @@ def reseal(tree: Path, change: dict[str, Any]) -> None:
 
 
 def test_a_newer_format_is_refused_as_newer(tree: Path) -> None:
-    reseal(tree, {"version": 3})
-    with pytest.raises(ColumnsTooNew, match=r"manifest\.json has format version 3"):
+    reseal(tree, {"version": 5})
+    with pytest.raises(ColumnsTooNew, match=r"manifest\.json has format version 5"):
         Placement.open(tree)
 
 

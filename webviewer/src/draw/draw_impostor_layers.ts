@@ -10,7 +10,7 @@ import type { PageArray } from "../gl/page_array";
 import fragmentSource from "../shaders/impostor_layers.fragment.glsl?raw";
 import vertexSource from "../shaders/impostor_layers.vertex.glsl?raw";
 import type { Vec3 } from "../placementdb/manifest";
-import { depthTerms, type View } from "./view";
+import { IDS, depthTerms, type View } from "./view";
 
 export interface DrawStats {
   calls: number;
@@ -86,7 +86,9 @@ export class ImpostorLayers {
     gl.uniform2f(program.uniform("u_depth"), x, y);
     gl.uniform1i(program.uniform("u_mode"), view.mode);
     gl.uniform3fv(program.uniform("u_tints"), TINTS);
+    if (view.mode !== IDS) gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
     gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+    gl.disable(gl.SAMPLE_ALPHA_TO_COVERAGE);
     gl.bindVertexArray(null);
     stats.calls += 1;
     stats.triangles += this.count / 3;

@@ -31,14 +31,14 @@ export class PageArray {
     let slots = Math.max(1, Math.min(pages, most, Math.floor(capBytes / this.bytesPerPage)));
     this.texture = gl.createTexture()!;
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.texture);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.RGBA8, size, size, slots);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.SRGB8_ALPHA8, size, size, slots);
     while (gl.getError() === gl.OUT_OF_MEMORY && slots > 1) {
       // Storage is immutable, so that a smaller one needs a new texture.
       slots >>= 1;
       gl.deleteTexture(this.texture);
       this.texture = gl.createTexture()!;
       gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.texture);
-      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.RGBA8, size, size, slots);
+      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels.length, gl.SRGB8_ALPHA8, size, size, slots);
     }
     this.slots = slots;
     this.pageIn = new Int32Array(this.slots).fill(-1);

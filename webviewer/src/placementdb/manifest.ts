@@ -2,7 +2,8 @@
 import { ColumnsAltered, ColumnsTooNew, ColumnsTruncated, NotColumns } from "./errors";
 import { sha256 } from "./sha256";
 
-export const MANIFEST_VERSION = 2; // 1: without levels of detail
+export const MANIFEST_VERSION = 4;
+export const PLAIN_VERSION = 3; // without levels of detail. Older ones are refused: their alpha held no coverage
 
 export type Vec3 = [number, number, number];
 export type Box = [Vec3, Vec3];
@@ -83,7 +84,7 @@ export async function readManifest(bytes: Uint8Array, where: string): Promise<Ma
   const m = parsed as Manifest;
   if (m === null || typeof m !== "object" || m.format !== "farfield placement") throw new NotColumns(where);
   if (typeof m.version !== "number") throw new ColumnsAltered(where, "it states no version");
-  if (m.version > MANIFEST_VERSION) throw new ColumnsTooNew(where, m.version, MANIFEST_VERSION);
+  if (m.version < PLAIN_VERSION || m.version > MANIFEST_VERSION) throw new ColumnsTooNew(where, m.version, MANIFEST_VERSION);
   await checkSeal(text, bytes, where);
   const fault = findFault(m);
   if (fault) throw new ColumnsAltered(where, fault);

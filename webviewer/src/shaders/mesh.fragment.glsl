@@ -15,11 +15,6 @@ uniform int u_mode; // 2: black, for pictures that count what impostors cover
 
 out vec4 o_color;
 
-vec3 encode_srgb(vec3 c) {
-  c = clamp(c, 0.0, 1.0);
-  return mix(c * 12.92, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, greaterThan(c, vec3(0.0031308)));
-}
-
 void main() {
   vec4 base = u_base * v_color;
 #ifdef TEXTURED
@@ -31,7 +26,7 @@ void main() {
   if (!gl_FrontFacing) n = -n;
 #endif
   vec3 light = u_ground + (u_sky - u_ground) * ((n.y + 1.0) / 2.0) + u_sun * max(0.0, dot(n, u_sun_direction));
-  vec3 color = encode_srgb(base.rgb * light + u_emissive);
+  vec3 color = clamp(base.rgb * light + u_emissive, 0.0, 1.0); // linear: the target encodes
 #ifdef BLENDED
   float alpha = base.a;
 #else

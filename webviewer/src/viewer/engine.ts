@@ -10,6 +10,7 @@ import { LevelMesh, readLighting } from "../draw/draw_mesh";
 import { IDS, PICTURE, TINTED, farthest, makeView, setViewProjection, type View } from "../draw/view";
 import { ChunkBuffers } from "../gl/chunk_buffers";
 import { PageArray } from "../gl/page_array";
+import { PictureTarget } from "../gl/picture_target";
 import { chunkOfCell, impostorsOfView, viewInChunk, visibleOfCell, type Placement } from "../placementdb/placement";
 import type { PlacementChunk } from "../placementdb/chunk";
 import type { Vec3 } from "../placementdb/manifest";
@@ -18,6 +19,9 @@ import { cameraFrame, makeFrustum, setFrustum } from "../select/frustum";
 import { findInterval } from "../select/intervals";
 import { Selector, type Selection } from "../select/select";
 import { ChunkPages } from "../stream/plan";
+
+/** Linear light of an encoded value, 0 to 1. */
+const decodeSrgb = (x: number): number => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
 
 export const PAGE_BYTES_CAP = 384 * 2 ** 20;
 const NEAR_M = 0.1;
@@ -60,6 +64,7 @@ export class Engine {
   readonly drawn: DrawStats = { calls: 0, triangles: 0 };
   readonly view: View = makeView();
   selection: Selection;
+  private readonly target: PictureTarget;
   private readonly layers: ImpostorLayers;
   private readonly selector: Selector;
   private readonly geometry: Selector;
@@ -78,6 +83,7 @@ export class Engine {
     const { manifest, index } = placement;
     this.level = new LevelMesh(canvas, gl, readLighting(manifest.lighting));
     this.pages = new PageArray(gl, manifest, PAGE_BYTES_CAP);
+    this.target = new PictureTarget(gl);
     this.layers = new ImpostorLayers(gl);
     this.selector = new Selector(index, manifest);
     this.geometry = new Selector(index, manifest);
@@ -140,7 +146,8 @@ export class Engine {
     const { gl, modes } = this;
     const { width, height } = this.canvas;
     this.view.mode = modes.layers ? TINTED : PICTURE;
-    this.clear(modes.background);
+    this.bind();
+    this.clear(modes.background.map(decodeSrgb));
     this.drawn.calls = this.drawn.triangles = 0;
     const cut = modes.split ? Math.round(width * modes.splitAt) : width;
     this.drawSide(this.selection, true, modes.split ? [0, 0, cut, height] : null);
@@ -155,6 +162,7 @@ export class Engine {
       gl.disable(gl.SCISSOR_TEST);
       this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
     }
+    this.target.show();
   }
 
   /** Draws impostor ids (+ 1) as colours, everything else black, and returns the pixels (RGBA, bottom row first). */
@@ -163,6 +171,7 @@ export class Engine {
     const { gl } = this;
     const { width, height } = this.canvas;
     this.view.mode = IDS;
+    this.bind();
     this.clear([0, 0, 0]);
     this.drawSide(this.selection, true, null);
     const out = new Uint8Array(4 * width * height);
@@ -186,9 +195,14 @@ export class Engine {
     this.selection = this.selector.select(frustum);
   }
 
+  /** Binds what is drawn into: the canvas itself for ids, which must not be averaged. */
+  private bind(): void {
+    if (this.view.mode === IDS) this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, null);
+    else this.target.bind(this.canvas.width, this.canvas.height);
+  }
+
   private clear(color: readonly number[]): void {
     const { gl } = this;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.disable(gl.SCISSOR_TEST);
     gl.colorMask(true, true, true, true);
     gl.depthMask(true);
@@ -213,6 +227,7 @@ export class Engine {
     }
     const { renderer } = level;
     renderer.resetState();
+    this.bind();
     renderer.setViewport(0, 0, width, height);
     renderer.setScissorTest(scissor !== null);
     if (scissor) renderer.setScissor(...scissor);
