@@ -12,6 +12,7 @@ Same bytes for any number of threads that build the tree (checked in the tests: 
 After    Wald et al. Embree: A Kernel Framework for Efficient CPU Ray Tracing. SIGGRAPH 2014.
 """
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,6 +120,25 @@ class Rays:
             return none
         found = np.unique(np.concatenate(pairs), axis=0)
         return found[:, 0], found[:, 1].astype(np.int32)
+
+
+_cache: dict[str, Rays] = {}
+
+
+def rays_of(scene: Scene) -> Rays:
+    """Return `Rays(scene)`; the shards of a stage that one process runs share it (14 s and 1.5 GB at 10 M triangles)."""
+    digest = hashlib.sha256()
+    for array in (
+        scene.position, scene.index, scene.primitive_triangle, scene.primitive_material, scene.mesh_primitive,
+        scene.object_mesh, scene.object_matrix, scene.material_alpha_mode,
+    ):  # fmt: skip
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    key = digest.hexdigest()
+    if key not in _cache:
+        _cache.clear()
+        _cache[key] = Rays(scene)
+    return _cache[key]
 
 
 def _soup(corner: np.ndarray, object_of: np.ndarray, kept: np.ndarray) -> _Soup:

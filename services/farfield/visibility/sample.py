@@ -32,7 +32,7 @@ from farfield.visibility import kernels
 from farfield.visibility.confidence import most_missed
 from farfield.visibility.free import build_pool, choose_rule, is_free, places_of, whole
 from farfield.visibility.model import Sightings
-from farfield.visibility.rays import MISS, Rays
+from farfield.visibility.rays import MISS, Rays, rays_of
 
 SHARDS = 5  # at least as many, mostly some 8, unless that makes a shard smaller or larger than
 CELLS_A_SHARD = (16, 512)  # ... these: each builds its own ray tracer, and time must stay linear in the area
@@ -90,7 +90,7 @@ class Sampler:
         self.cells, self.n_objects, self.cell_m = cells, scene.n_objects, scene.cell_m
         self.view_boxes = scene.view_boxes
         self.own = np.array([cells.start[node], cells.stop[node]], dtype=np.int64)
-        self.rays = Rays(scene) if rays is None else rays
+        self.rays = rays_of(scene) if rays is None else rays
         self.seen = np.zeros((cells.n_cells, -(-scene.n_objects // 64)), dtype=np.uint64)
         streams = np.random.SeedSequence([seed, node]).spawn(4)
         pool_rng, self._rng, self._stop_rng, self._merge_rng = (np.random.default_rng(s) for s in streams)
