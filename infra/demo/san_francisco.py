@@ -71,8 +71,10 @@ def center(scene: RawScene) -> np.ndarray:
     return (low + high) / 2
 
 
-def street_boxes(scene: RawScene, *, columns: tuple[int, int] = COLUMNS) -> list[list[list[float]]]:
-    """Return a box a 23 m column of the grid, around the city's middle, at eye height over the terrain in it."""
+def street_boxes(
+    scene: RawScene, *, columns: tuple[int, int] = COLUMNS, middle: tuple[float, float] | None = None
+) -> list[list[list[float]]]:
+    """Return a box a 23 m column of the grid, around x, z (the city's middle), at eye height over the terrain in it."""
     terrain = next(n for n in scene.nodes if n.name == "Terrain")
     primitive = scene.meshes[terrain.mesh][0]
     ground_only = RawScene(
@@ -81,7 +83,7 @@ def street_boxes(scene: RawScene, *, columns: tuple[int, int] = COLUMNS) -> list
     )
     level = build_level(ground_only, unit_m=1.0, up="y")
     n = np.array(columns)
-    first = np.rint(center(scene)[[0, 2]] / CELL_M - n / 2)
+    first = np.rint((center(scene)[[0, 2]] if middle is None else np.array(middle)) / CELL_M - n / 2)
     (x0, z0), (x1, z1) = first * CELL_M, (first + n) * CELL_M
     bounds = level.object_box[0]
     low, high = np.array([x0, bounds[0, 1], z0]), np.array([x1, bounds[1, 1], z1])
@@ -141,12 +143,13 @@ def write_city(
     return len(nodes)
 
 
-def settings_text(boxes: list[list[list[float]]], *, budget: str = BUDGET) -> str:
+def settings_text(boxes: list[list[list[float]]], *, budget: str = BUDGET, fov_deg: float = 45.0) -> str:
     """Return the demo's settings as TOML."""
     rows = ",\n".join(f"  {json.dumps(box)}" for box in boxes)
     return (
         f'# A band at eye height over the streets, a box a column of {CELL_M:g} m.\nbudget = "{budget}"\n\n'
-        "[camera]\nfov_deg = 45.0\nwidth = 1280\nheight = 720\n\n"
+        f"[camera]\nfov_deg = {fov_deg}\nwidth = 1280\nheight = 720\n\n"
+        '[visibility]\nmode = "off"\n\n'
         f"[view_space]\ncell_m = {CELL_M}\nboxes = [\n{rows},\n]\n"
     )
 

@@ -1,6 +1,7 @@
 """Run a command and measure what its whole tree of processes takes."""
 
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -41,6 +42,11 @@ def run(command: Sequence[str], *, timeout_s: float) -> Measured:
         process.kill()
     seconds = time.monotonic() - began
     return Measured(code=process.returncode, out=out, err=err, seconds=seconds, peak_bytes=peak[0])
+
+
+def farfield(*words: str) -> Measured:
+    """Run a command of farfield with this Python."""
+    return run([sys.executable, "-m", "farfield.cli.main", *words], timeout_s=1800)
 
 
 def tree(pid: int) -> list[int]:

@@ -3,61 +3,18 @@
 Times are the machine's: nothing else should run beside it. FARFIELD_ACCEPT_OUT=DIR keeps placement and pictures there.
 """
 
-import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from accept.measure import Measured, run
-from accept.streets import Streets, StreetView, apart
-from browser.chromium import CHROMIUM, launch
-from browser.static_server import DIST, serving
+from accept.figures import Figures
+from accept.measure import Measured, farfield
+from accept.walk import Walked, check_costs, walk
 from cutout import demo_city
-from pictures import Compared, compare, save
 
 SECONDS, OPTIMIZE_SECONDS, BYTES = 300, 120, 3 << 30
 HOPELESS_SHARE = 0.03
 VIEWS = 10_000
-DENSE, COVERAGE, FLIP = 1.5, 0.20, 0.05
-STREETS, STREETS_APART_M, STREET_VIEWS = 3, 25.0, 600
-
-
-class Figures:
-    """What was measured, beside what it has to be."""
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[str, str, str, str]] = []
-
-    def check(self, what: str, value: float, limit: float, *, text: str = "{:,.0f}", least: bool = False) -> None:
-        """Note a figure; fail unless it is below the limit (at most it, for 0; at least it where `least`)."""
-        holds = value >= limit if least else value < limit or value == limit == 0
-        sign = "at least" if least else "below" if limit else "none"
-        self.rows.append(
-            (what, text.format(value), f"{sign} {text.format(limit)}" if limit else sign, "ok" if holds else "FAILS")
-        )
-        assert holds, f"{what}: {text.format(value)}, must be {sign} {text.format(limit)}"
-
-    def note(self, what: str, value: str) -> None:
-        self.rows.append((what, value, "", ""))
-
-
-@pytest.fixture(scope="module")
-def figures() -> Iterator[Figures]:
-    table = Figures()
-    yield table
-    wide = [max(len(row[k]) for row in table.rows) for k in range(4)]
-    print("\n\n" + "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)) for row in table.rows))
-
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    kept = os.environ.get("FARFIELD_ACCEPT_OUT")
-    folder = Path(kept) if kept else tmp_path_factory.mktemp("accept")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +31,6 @@ def place(city: tuple[Path, Path], out: Path, workers: int) -> Measured:
     scene, settings = map(str, city)
     words = ["place", scene, "--settings", settings, "--workers", str(workers), "--json", "--out", str(out)]
     return farfield(*words)
-
-
-def farfield(*words: str) -> Measured:
-    return run([sys.executable, "-m", "farfield.cli.main", *words], timeout_s=1800)
 
 
 @pytest.fixture(scope="module")
@@ -156,75 +109,18 @@ def test_one_worker_gives_the_same_bytes(
 
 
 @pytest.fixture(scope="module")
-def streets(placed: tuple[Path, Measured, dict[str, Any]], figures: Figures, gl: Any) -> list[StreetView]:
-    """The street views of most coverage, apart from each other, of many random ones dense in geometry."""
-    budget = placed[2]["budget_amount"]
-    at_least = int(np.ceil(DENSE * budget))
-    survey = Streets(placed[0])
-    seen = survey.sample(STREET_VIEWS, at_least=at_least)
-    assert seen, f"no view from a street costs {at_least} as geometry"
-    shares = np.quantile([view.coverage for view in seen], [0.5, 0.9, 0.99, 1.0])
-    said = ", ".join(
-        f"{name} {share:.2%}" for name, share in zip(("median", "90 %", "99 %", "best"), shares, strict=True)
-    )
-    figures.note(f"coverage of {len(seen)} dense street views", said)
-    best = apart(seen, 2 * STREETS, metres=STREETS_APART_M)
-    best = [survey.improve(view, at_least=at_least, seed=k) for k, view in enumerate(best)]
-    return apart(best, STREETS, metres=STREETS_APART_M)
-
-
-@pytest.fixture(scope="module")
-def walked(
-    placed: tuple[Path, Measured, dict[str, Any]], streets: list[StreetView], home: Path
-) -> tuple[list[Compared], list[str]]:
-    """The street views in the browser, and what its console complained of."""
-    if CHROMIUM is None or not (DIST / "viewer.html").is_file():
-        pytest.skip("no chromium, or the pages are not built")
-    api = pytest.importorskip("playwright.sync_api")
-    wrong: list[str] = []
-    with serving({"city": placed[0]}) as url, api.sync_playwright() as playwright:
-        browser = launch(playwright)
-        page = browser.new_page(viewport={"width": 640, "height": 400})
-        page.set_default_timeout(300_000)
-        page.on("console", lambda m: wrong.append(m.text) if m.type in ("error", "warning") else None)
-        page.on("pageerror", lambda e: wrong.append(str(e)))
-        page.goto(f"{url}/viewer/city")
-        page.evaluate("farfield.ready()")
-        views = [compare(page, street.position, street.direction) for street in streets]
-        browser.close()
-    for k, view in enumerate(views):
-        save(home / "pictures", f"street-{k}", view)
-    return views, wrong
+def walked(placed: tuple[Path, Measured, dict[str, Any]], figures: Figures, home: Path, gl: Any) -> Walked:
+    return walk(placed[0], placed[2]["budget_amount"], figures, home / "pictures", "demo street")
 
 
 def test_streets_are_drawn_within_the_budget(
-    placed: tuple[Path, Measured, dict[str, Any]], streets: list[StreetView], walked: Any, figures: Figures
+    placed: tuple[Path, Measured, dict[str, Any]], walked: Walked, figures: Figures
 ) -> None:
-    budget = placed[2]["budget_amount"]
-    views, wrong = walked
-    assert wrong == []
-    assert len(views) == STREETS
-    for k, (street, view) in enumerate(zip(streets, views, strict=True)):
-        at = ", ".join(f"{x:.1f}" for x in street.position)
-        figures.note(f"street {k}", f"at ({at}), {view.stats['calls']} draw calls, {view.stats['impostors']} impostors")
-        assert view.stats["impostorsWaiting"] == 0
-        ratio = view.stats["geometryCost"] / budget
-        figures.check(f"  geometry over budget, street {k}", ratio, DENSE, text="{:.2f}", least=True)
-        figures.check(f"  cost, street {k}", view.stats["cost"], budget + 1)
-        assert max(view.stats["calls"], view.stats["cost"]) <= view.stats["costBound"]
+    check_costs(walked, placed[2]["budget_amount"], figures, "demo street")
 
 
-def test_streets_look_like_their_geometry(walked: Any, figures: Figures) -> None:
-    failed = []
-    for k, view in enumerate(walked[0]):
-        figures.note(f"  FLIP of the picture, street {k}", f"{view.flip_picture:.4f}")
-        for what, value, limit, text, least in (
-            (f"  holes, street {k}", view.holes, 0, "{:,.0f}", False),
-            (f"  FLIP over covered pixels, street {k}", view.flip, FLIP, "{:.4f}", False),
-            (f"  coverage, street {k}", view.coverage, COVERAGE, "{:.2%}", True),
-        ):
-            try:
-                figures.check(what, value, limit, text=text, least=least)
-            except AssertionError as error:
-                failed.append(str(error))
-    assert not failed
+def test_streets_have_no_holes(walked: Walked, figures: Figures) -> None:
+    """Their coverage is only noted: near houses hide what is replaced (docs/decisions/0009)."""
+    for k, view in enumerate(walked.views):
+        figures.note(f"  coverage, demo street {k}", f"{view.coverage:.2%}, FLIP there {view.flip:.4f}")
+        figures.check(f"  holes, demo street {k}", view.holes, 0)

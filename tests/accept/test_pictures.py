@@ -1,0 +1,61 @@
+"""What impostors look like where they cover much of the picture: Telegraph Hill, in the same city.
+
+The demo's own streets cannot show it: at 1300 calls near houses hide what is replaced, whatever the placement, so that
+impostors cover at most some 3 % of a picture (docs/decisions/0009, where the hill, its camera and its budget were found).
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from accept.figures import Figures
+from accept.measure import farfield
+from accept.walk import Walked, check_costs, walk
+from cutout import demo_city
+
+MIDDLE, COLUMNS, BUDGET, FOV_DEG = (609.0, -92.0), (5, 9), 800, 30.0
+COVERAGE, FLIP = 0.20, 0.05
+FLIP_REACHED = 0.075  # 0.066 to 0.070 so far: docs/decisions/0009 says where the rest comes from
+NAME = "hill street"
+
+
+@pytest.fixture(scope="module")
+def hill(home: Path, figures: Figures) -> tuple[Path, dict[str, Any]]:
+    demo = demo_city()
+    try:
+        scene, materials = demo.read_city()
+    except demo.WheelMissing as error:
+        pytest.skip(str(error))
+    demo.write_city(home / "hill.glb", scene, materials)
+    boxes = demo.street_boxes(scene, columns=COLUMNS, middle=MIDDLE)
+    (home / "hill.toml").write_text(
+        demo.settings_text(boxes, budget=f"{BUDGET} calls", fov_deg=FOV_DEG), encoding="utf-8"
+    )
+    words = ("place", home / "hill.glb", "--settings", home / "hill.toml", "--json", "--out", home / "hill")
+    done = farfield(*map(str, words))
+    assert done.code == 0, done.err
+    report = json.loads(done.out)
+    figures.note("Telegraph Hill", f"{report['verdict']}, {report['impostors']:,} impostors, {report['bytes']:,} bytes")
+    return home / "hill", report
+
+
+@pytest.fixture(scope="module")
+def walked(hill: tuple[Path, dict[str, Any]], figures: Figures, home: Path, gl: Any) -> Walked:
+    return walk(hill[0], BUDGET, figures, home / "pictures", NAME)
+
+
+def test_the_hill_is_drawn_within_the_budget(walked: Walked, figures: Figures) -> None:
+    check_costs(walked, BUDGET, figures, NAME)
+
+
+def test_impostors_cover_much_and_leave_no_holes(walked: Walked, figures: Figures) -> None:
+    for k, view in enumerate(walked.views):
+        figures.check(f"  coverage, {NAME} {k}", view.coverage, COVERAGE, text="{:.2%}", least=True)
+        figures.check(f"  holes, {NAME} {k}", view.holes, 0)
+
+
+def test_impostors_look_like_their_geometry(walked: Walked, figures: Figures) -> None:
+    for k, view in enumerate(walked.views):
+        figures.note(f"  FLIP of the picture, {NAME} {k}", f"{view.flip_picture:.4f}")
+        figures.miss(f"  FLIP over covered pixels, {NAME} {k}", view.flip, FLIP, bound=FLIP_REACHED)
