@@ -6,7 +6,7 @@ Method   Cut the view space into subtrees of its kd-tree with about equally many
          `greedy.place` then chooses among what any region chose (those it displaced again included): few candidates, by
          which every view can meet its target, because the targets are the same.
 Errs     Towards more bytes: a region weighs an impostor's bytes against its own views only, so that it prefers smaller
-         view cells than a level at once would. docs/decisions/0011-regions.md says how much.
+         view cells than a level at once would. docs/decisions/0011-regions-and-the-papers-way.md says how much.
 """
 
 from collections.abc import Callable

@@ -21,7 +21,7 @@ from naive import greedy as naive
 
 from .instances import random_instance, same_refit
 
-SEEDS = range(40)
+SEEDS = range(16)
 TESTS = Path(__file__).parents[2]
 
 
