@@ -37,7 +37,7 @@ def dual_prices(
         sparse.csr_matrix((np.ones(len(member)), (path, n + member)), shape=(n_paths, n + m)),
     ])  # fmt: skip
     unit = float(bytes.max())
-    found = linprog(
+    found = linprog(  # type: ignore[call-overload]  # its stubs know no sparse matrices
         np.concatenate([bytes / unit, np.zeros(m)]), A_ub=limits, bounds=(0, 1), method="highs-ds",
         b_ub=np.concatenate([-np.ones(len(needy)), np.zeros(m), np.ones(n_paths)]),
     )  # fmt: skip

@@ -3,9 +3,10 @@
 Problem  Candidate i weighs bytes[i] and saves saved[i, v] in the problem views it serves; of nested clusters only one
          is shown. View v costs more than its target. Find a light set under which no view does.
 Method   `prospects` finds what is out of reach and sets the targets; `choose` runs the lazy greedy; `rescue` adds what
-         views need that the greedy stranded; `prune` deletes in reverse; `tighten` fits view cells to where they are
-         needed, and once more `prune`, because tightened impostors cost less; `assign` says what each view shows;
-         `evaluate` adds everything up from scratch, and must agree. Integers throughout, ties by id.
+         views need that the greedy stranded; `improve` deletes in reverse and searches near by for a lighter set;
+         `tighten` fits view cells to where they are needed, and `prune` follows, because tightened impostors cost less;
+         `assign` says what each view shows; `evaluate` adds everything up from scratch, and must agree. Integers
+         throughout, ties by id.
 Anytime  Where time is limited, the greedy, then the rescue, are cut short: every view then meets its target at the price
          of more bytes. What comes after only saves bytes, and stops where it is.
 After    Jeschke, Wimmer, Schumann, Purgathofer. Automatic Impostor Placement for Guaranteed Frame Rates and Low Memory
@@ -29,6 +30,7 @@ from farfield.placement.choose import Progress, choose
 from farfield.placement.complete import complete
 from farfield.placement.curve import gather, trace
 from farfield.placement.evaluate import evaluate
+from farfield.placement.improve import improve
 from farfield.placement.limit import Limit
 from farfield.placement.model import Placement, RegionChoice
 from farfield.placement.prospects import find_prospects
@@ -80,9 +82,9 @@ def place(
     chosen = rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
     tell(0.75, {"choices": len(choice.step), "impostors": len(chosen)})
 
+    if policy.reverse_delete and not limit.over():
+        chosen = improve(some, chosen, need=need, end=end, stop=limit.over)
     impostors, offers = gather(some, chosen, len(need))
-    if policy.reverse_delete:
-        impostors, offers = _pruned(impostors, offers, need=need, end=end, limit=limit)
     tell(0.85, {"impostors": len(impostors.cluster), "bytes": int(impostors.bytes.sum())})
 
     def fit(impostors: Impostors, offers: Offers, needed: np.ndarray) -> tuple[Impostors, Offers]:

@@ -27,7 +27,7 @@ def reached(x, chosen, end):
 
 def test_targets_stay_met_and_bytes_never_grow():
     lighter = 0
-    for seed in range(40):
+    for seed in range(25):
         x, _, need, end, chosen = problem(seed, n_objects=24, n_cells=10, n_candidates=240)
         better = improve(x.candidates, chosen, need=need, end=end)
         size = x.candidates.bytes
@@ -38,7 +38,7 @@ def test_targets_stay_met_and_bytes_never_grow():
         unmoved = improve(x.candidates, chosen, need=need, end=end, moves=0)
         assert size[better].sum() <= size[unmoved].sum() <= size[chosen].sum(), f"{seed=}"
         lighter += size[better].sum() < size[unmoved].sum()
-    assert lighter >= 5, "the search finds something in some of these"
+    assert lighter >= 3, "the search finds something in some of these"
 
 
 def test_tiny_problems_are_nearly_always_solved():
@@ -99,7 +99,7 @@ def test_a_move_leaves_the_bookkeeping_as_a_fresh_start_would_have_it():
     trees, move = _scratch(core, held)
     for i in chosen:
         kernels.look_again(i, core, held, trees)
-    for moves in range(1, 300):
+    for moves in range(1, 100):
         kernels.search(core, held, trees, move, moves, 2**60)
         now = np.sort(held.chosen[: held.counter[kernels.N_CHOSEN]])
         fresh = _held(core, now, 0)
