@@ -183,7 +183,10 @@ def unpack_dataclass(cls: type[T], buffer: Any, *, where: str = "buffer") -> T:
 
 
 def _frozen(value: Any) -> Any:
-    return tuple([_frozen(v) if isinstance(v, list) else v for v in value]) if isinstance(value, list) else value
+    if not isinstance(value, list):
+        return value
+    nested = list in set(map(type, value))  # a level has a name for each of its objects, and every shard reads them
+    return tuple(map(_frozen, value)) if nested else tuple(value)
 
 
 def files_parts(files: Mapping[str, bytes]) -> Parts:

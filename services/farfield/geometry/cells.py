@@ -12,7 +12,8 @@ Half-open A point on a plane belongs to the high side, and a box of the view spa
          just inside that box): the boxes as a whole are closed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 
@@ -67,9 +68,18 @@ def cells_about(boxes: np.ndarray, cell_m: float) -> float:
 
 
 def build_cells(boxes: np.ndarray, cell_m: float) -> CellTree:
-    """Return the tree over `boxes` (B,2,3) f64, relative to the scene's origin; cell_m > 0 metres."""
+    """Return the tree over `boxes` (B,2,3) f64, relative to the scene's origin; cell_m > 0 metres.
+
+    The last one is kept, read only: every shard of a stage asks for the same.
+    """
     boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 2, 3)
     assert len(boxes) and cell_m > 0
+    return _build(boxes.tobytes(), float(cell_m))
+
+
+@lru_cache(maxsize=1)
+def _build(data: bytes, cell_m: float) -> CellTree:
+    boxes = np.frombuffer(data).reshape(-1, 2, 3)
     rows: list[list] = []
     bounds: list[np.ndarray] = []
     leaves: list[int] = []
@@ -104,11 +114,14 @@ def build_cells(boxes: np.ndarray, cell_m: float) -> CellTree:
     grow(boxes, -1)
     columns = list(zip(*rows, strict=True))
     i32 = lambda c: np.array(c, dtype=np.int32)  # noqa: E731
-    return CellTree(
+    tree = CellTree(
         axis=np.array(columns[0], dtype=np.int8), plane=np.array(columns[1], dtype=np.float64), low=i32(columns[2]),
         high=i32(columns[3]), parent=i32(columns[4]), box=np.array(bounds), start=i32(columns[5]), stop=i32(columns[6]),
         leaf=i32(leaves),
     )  # fmt: skip
+    for field in fields(tree):
+        getattr(tree, field.name).flags.writeable = False
+    return tree
 
 
 def find_cell(tree: CellTree, boxes: np.ndarray, point: np.ndarray) -> int:
