@@ -12,7 +12,7 @@ Method   `sample`: 4 x 4 points a texel. At each the nearest piece of the layer 
          surface ends, the texel is drawn to the share of its points that are covered, in quarters.
 Errs     Towards covering: never less than a quarter, in full where layers adjoin or another object's surface does
          (`beside`), for what lies side by side in different impostors must leave no seam.
-Tried    FLIP over covered pixels on Telegraph Hill: see docs/decisions/0009.
+Tried    FLIP over covered pixels on Telegraph Hill: docs/decisions/0012.
 """
 
 from typing import Any
