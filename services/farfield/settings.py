@@ -55,8 +55,8 @@ class DetailSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibilitySettings:
-    mode: Literal["auto", "sampled", "conservative", "off"] = "off"
-    missed_ppm: float = 40.0  # missed pixels a million at which sampling stops, as a 95 % bound, (0, 1e6]
+    mode: Literal["auto", "sampled", "conservative", "off"] = "auto"
+    missed_ppm: float = 35.0  # missed pixels a million at which sampling stops, as a 95 % bound, (0, 1e6]
     rays: int = 400_000  # ... or after as many rays a cell, 1000..10**9
 
 

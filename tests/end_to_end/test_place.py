@@ -22,7 +22,7 @@ def row(tmp_path_factory):
     (folder / "row.glb").write_bytes(box_level(np.stack([low, low + np.array([4.0, 5.0, 4.0])], 1)))
     settings = (
         "[view_space]\ncell_m = 8.0\nboxes = [[[-24.0, 1.0, -4.0], [-8.0, 2.0, 4.0]]]\n"
-        "[camera]\nfov_deg = 45.0\nwidth = 640\nheight = 360\n"
+        '[camera]\nfov_deg = 45.0\nwidth = 640\nheight = 360\n[visibility]\nmode = "off"\n'
     )
     (folder / "row.toml").write_text(settings)
     return folder / "row.glb", folder / "row.toml"

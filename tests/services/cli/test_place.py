@@ -15,6 +15,7 @@ from farfield.errors import FarfieldError
 from levels import box_level
 
 SETTINGS = "[view_space]\nboxes = [[[40, 0, 0], [42, 1, 2]]]\ncell_m = 2\n[camera]\nwidth = 64\nheight = 36\n"
+SETTINGS += '[visibility]\nmode = "off"\n'
 
 
 @pytest.fixture
