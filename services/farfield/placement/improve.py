@@ -62,8 +62,9 @@ def improve(
     while held.counter[kernels.MOVES] < wanted and work < most and len(position) and not stop():
         work = min(most, work + SLICE)
         kernels.search(core, held, trees, move, wanted, work)
-    found = np.sort(held.chosen[: held.counter[kernels.N_CHOSEN]])
-    return _pruned(candidates, np.flatnonzero(part)[found].astype(np.int32), need, end, stop)
+    found = np.flatnonzero(part)[np.sort(held.chosen[: held.counter[kernels.N_CHOSEN]])].astype(np.int32)
+    found = _pruned(candidates, found, need, end, stop)
+    return found if candidates.bytes[found].sum() < candidates.bytes[chosen].sum() else chosen  # ties: as it was
 
 
 @njit(cache=True)
