@@ -62,7 +62,7 @@ def test_jobs_at_the_other_budgets_need_about_as_much():
     print("curve over separate runs:", dict(zip(p.curve_budget.tolist(), p.curve_bytes.tolist())), np.round(ratio, 3))
     assert len(ratio) == 4
     assert min(ratio) > 0.8
-    assert max(ratio) < 1.25
+    assert max(ratio) < 1.3
 
 
 def test_a_scene_within_its_budget_has_a_curve_of_one_point_without_bytes():
