@@ -8,6 +8,8 @@ Method   Triangle by triangle: the distance from one triangle of the other surfa
          exceeds what some point is known to reach is cut in four. The vertices' distances come first: mostly the
          maximum stands there, and little is ever cut.
 Errs     upwards only: by SLACK at most where there is time, by more where pieces run out; rounding is added.
+Tried    Pieces cut into quarters only: 72 s instead of 15 s for a furnished flat of 178,000 triangles, for slivers over flat
+         parts never end. A quarter of the pieces and twice the slack: 8 % less time, 10 levels of 206 of a game world lost.
 After    Guthe, Borodin, Klein. Fast and accurate Hausdorff distance calculation between meshes. WSCG 2005.
 """
 
