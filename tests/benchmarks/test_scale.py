@@ -42,7 +42,7 @@ def report_all(report, name: str, rows: list[Taken], small: list[Taken] | None =
             )  # fmt: skip
 
 
-@pytest.mark.parametrize("mode, budget", [("off", "2700 calls"), ("sampled", "330 calls")])
+@pytest.mark.parametrize("mode, budget", [("off", "2700 calls"), ("sampled", "140 calls")])
 def test_vienna(mode, budget, tmp_path, report):
     scene, boxes = vienna()
     rows, views = taken(scene, settings_text(boxes, budget=budget, mode=mode), tmp_path)
