@@ -18,10 +18,12 @@ import numpy as np
 from numba import njit
 
 from farfield.candidates.model import Candidates
+from farfield.placement import held_kernels
 from farfield.placement import improve_kernels as kernels
 from farfield.placement.antichain import Offers, offers_of
 from farfield.placement.bound import by_impostor, first_prices
-from farfield.placement.improve_kernels import Core, Held, Move, Trees
+from farfield.placement.held_kernels import Core, Held, Trees
+from farfield.placement.improve_kernels import Move
 from farfield.placement.prune import prune
 
 CORE = 0.7
@@ -55,14 +57,14 @@ def improve(
     held = _held(core, position.astype(np.int32), seed)
     trees, move = _scratch(core, held)
     for i in position:
-        kernels.look_again(i, core, held, trees)
-    held.counter[kernels.WORK] = 0
+        held_kernels.look_again(i, core, held, trees)
+    held.counter[held_kernels.WORK] = 0
     wanted, work = max(moves * len(chosen), LEAST_MOVES), 0
     most = min(MOST_WORK, WORK_AN_ENTRY * len(core.views) + SLICE)
-    while held.counter[kernels.MOVES] < wanted and work < most and len(position) and not stop():
+    while held.counter[held_kernels.MOVES] < wanted and work < most and len(position) and not stop():
         work = min(most, work + SLICE)
         kernels.search(core, held, trees, move, wanted, work)
-    found = np.flatnonzero(part)[np.sort(held.chosen[: held.counter[kernels.N_CHOSEN]])].astype(np.int32)
+    found = np.flatnonzero(part)[np.sort(held.chosen[: held.counter[held_kernels.N_CHOSEN]])].astype(np.int32)
     found = _pruned(candidates, found, need, end, stop)
     return found if candidates.bytes[found].sum() < candidates.bytes[chosen].sum() else chosen  # ties: as it was
 
@@ -94,7 +96,7 @@ def _core(candidates: Candidates, part: np.ndarray, price: np.ndarray, need: np.
     first, count = candidates.row[part], candidates.row[part + 1] - candidates.row[part]
     row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     entry = np.repeat(first - row[:-1], count) + np.arange(row[-1])
-    core_row, views, place, offer_row, offer_id, offer_saved = kernels.transpose(
+    core_row, views, place, offer_row, offer_id, offer_saved = held_kernels.transpose(
         row, candidates.view[entry], candidates.saved[entry], need
     )
     least = 0.05 * price[need > 0].mean() if (need > 0).any() else 0.0  # no need is worth nothing
@@ -122,7 +124,7 @@ def _held(core: Core, chosen: np.ndarray, seed: int) -> Held:
         random=np.array([88172645463325252 ^ (seed * 0x9E3779B97F4A7C15) % 2**64 or 1], np.uint64),
     )  # fmt: skip
     for i in chosen:
-        kernels.insert(i, core, held)
+        held_kernels.insert(i, core, held)
     return held
 
 

@@ -1,7 +1,8 @@
 """Ruin and recreate: every target stays met, bytes never grow, and tiny problems are solved to their optimum."""
 
 import numpy as np
-from farfield.placement import improve_kernels as kernels
+from farfield.placement import held_kernels as kernels
+from farfield.placement import improve_kernels
 from farfield.placement.antichain import best_antichain, best_in_views, offers_of
 from farfield.placement.improve import _core, _held, _scratch, improve
 from farfield.placement.rescue import rescue
@@ -100,7 +101,7 @@ def test_a_move_leaves_the_bookkeeping_as_a_fresh_start_would_have_it():
     for i in chosen:
         kernels.look_again(i, core, held, trees)
     for moves in range(1, 100):
-        kernels.search(core, held, trees, move, moves, 2**60)
+        improve_kernels.search(core, held, trees, move, moves, 2**60)
         now = np.sort(held.chosen[: held.counter[kernels.N_CHOSEN]])
         fresh = _held(core, now, 0)
         np.testing.assert_array_equal(held.length, fresh.length)
