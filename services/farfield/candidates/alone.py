@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from farfield.candidates import kernels
 from farfield.candidates.generate import cheapest_cost, refit
 from farfield.candidates.model import Candidates
+from farfield.candidates.pair_kernels import list_pairs
 from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
 from farfield.rendertime.model import CostModel
@@ -37,11 +37,11 @@ def candidates_for(
     tree = hierarchy.start, hierarchy.stop, hierarchy.left, hierarchy.right
     given, floor, count = (0, n), cheapest_cost(model), np.zeros(n, np.int64)
     none = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int64)
-    kernels.list_pairs(of_cell, *tree, given, floor, count, *none)
+    list_pairs(of_cell, *tree, given, floor, count, *none)
     row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     view, cost = np.empty(row[-1], np.int32), np.empty(row[-1], np.int64)
     if row[-1]:
-        kernels.list_pairs(of_cell, *tree, given, floor, np.empty(n, np.int64), row, view, cost)
+        list_pairs(of_cell, *tree, given, floor, np.empty(n, np.int64), row, view, cost)
     box = cells.cell_box[[cell]]
     rows: list[tuple[int, int, np.ndarray, int, int, int, np.ndarray, np.ndarray]] = []
     for c in np.flatnonzero((count > 0) & hierarchy.replaceable):

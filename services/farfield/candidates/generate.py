@@ -26,6 +26,7 @@ import numpy as np
 
 from farfield.candidates import kernels
 from farfield.candidates.model import BOX, SHAFT, Candidates
+from farfield.candidates.pair_kernels import list_pairs
 from farfield.columns import Parts, dataclass_parts
 from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
@@ -108,7 +109,7 @@ def _count_pairs(hierarchy: Hierarchy, views: ProblemViews, floor: int, *, every
     none = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int64)
     count = np.empty(len(hierarchy.start), dtype=np.int64)
     tree = hierarchy.start, hierarchy.stop, hierarchy.left, hierarchy.right
-    kernels.list_pairs(runs, *tree, (0, len(count)), floor, count, *none)
+    list_pairs(runs, *tree, (0, len(count)), floor, count, *none)
     return int(count.sum()) * max(1, every)
 
 
@@ -171,7 +172,7 @@ def _pairs(
     tree = hierarchy.start, hierarchy.stop, hierarchy.left, hierarchy.right
     none = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int64)
     count = np.zeros(nodes[1] - nodes[0], dtype=np.int64)
-    kernels.list_pairs(runs_of(views), *tree, nodes, work.floor, count, *none)
+    list_pairs(runs_of(views), *tree, nodes, work.floor, count, *none)
     through = np.concatenate([[0], np.cumsum(count)])
     first = 0
     while first < len(count):
@@ -180,9 +181,7 @@ def _pairs(
         view, cost = np.empty(row[-1], dtype=np.int32), np.empty(row[-1], dtype=np.int64)
         if row[-1]:
             some = nodes[0] + first, nodes[0] + last
-            kernels.list_pairs(
-                runs_of(views), *tree, some, work.floor, np.empty(last - first, np.int64), row, view, cost
-            )
+            list_pairs(runs_of(views), *tree, some, work.floor, np.empty(last - first, np.int64), row, view, cost)
         yield nodes[0] + first, row, view, cost
         first = last
 
