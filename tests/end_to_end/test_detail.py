@@ -30,7 +30,7 @@ def test_levels_spare_problem_views_and_memory(folders):
     assert {s["name"]: s["skipped"] for s in off["stages"]}[
         "detail"
     ] == "detail.mode is off: objects are drawn as they are"
-    assert Placement.open(folder).manifest["version"] == 2 and Placement.open(plain).manifest["version"] == 1
+    assert Placement.open(folder).manifest["version"] == 4 and Placement.open(plain).manifest["version"] == 3
     assert (folder / "scene.glb").stat().st_size < 1.5 * (plain / "scene.glb").stat().st_size
 
 
