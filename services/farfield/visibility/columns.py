@@ -32,7 +32,7 @@ import numpy as np
 
 from farfield.geometry.cells import CellTree
 from farfield.scene.model import Scene
-from farfield.visibility import column_kernels as kernels
+from farfield.visibility import column_kernels, raster_kernels
 from farfield.visibility.solids import Solids
 
 SQUARES_A_CELL = 32
@@ -46,7 +46,7 @@ _PAD = 2.0**-10
 class Columns:
     """A raster of nx by nz squares from (x0, z0); relative to scene.origin_m.
 
-    Each table holds, for level l, the least value over 2**l by 2**l squares: `kernels.minimum_windows`.
+    Each table holds, for level l, the least value over 2**l by 2**l squares: `raster_kernels.minimum_windows`.
     """
 
     x0: float
@@ -76,8 +76,8 @@ def build_columns(scene: Scene, cells: CellTree, solids: Solids) -> Columns | No
     pad = size * _PAD
     raster = (x0, z0, size, pad, nx, nz)
     ground_low, ground_high, domain = np.full(nx * nz, np.inf), np.full(nx * nz, -np.inf), np.zeros(nx * nz, np.bool_)
-    kernels.ground_heights(solids.vertex, solids.triangle, solids.ground, *raster, ground_low, ground_high)
-    kernels.in_domain(solids.domain, x0, z0, size, nx, nz, domain)
+    raster_kernels.ground_heights(solids.vertex, solids.triangle, solids.ground, *raster, ground_low, ground_high)
+    raster_kernels.in_domain(solids.domain, x0, z0, size, nx, nz, domain)
     domain &= ground_low < np.inf
     reason = _refuse_ground(scene, cells, solids, raster, ground_low, ground_high, domain)
     if reason is None:
@@ -87,19 +87,19 @@ def build_columns(scene: Scene, cells: CellTree, solids: Solids) -> Columns | No
         domain[:] = False
     ground_low[~domain] = -np.inf
     row = np.zeros(nx * nz + 1, dtype=np.int64)
-    kernels.touched(solids.vertex, solids.triangle, members, *raster, row, np.zeros(0, np.int32), False)
+    raster_kernels.touched(solids.vertex, solids.triangle, members, *raster, row, np.zeros(0, np.int32), False)
     row = np.cumsum(row)
     entry = np.empty(int(row[-1]), dtype=np.int32)
-    kernels.touched(solids.vertex, solids.triangle, members, *raster, row[:-1].copy(), entry, True)
+    raster_kernels.touched(solids.vertex, solids.triangle, members, *raster, row[:-1].copy(), entry, True)
     bottom, top = np.empty(nx * nz), np.empty(nx * nz)
-    kernels.opaque_squares(
+    column_kernels.opaque_squares(
         solids.vertex, solids.triangle, solids.up, solids.solid, solids.cap_y, solids.culled, row, entry, ground_low,
         *raster, bottom, top,
     )  # fmt: skip
     if not (np.isfinite(top).any() or domain.any()):
         return None
     buried = ~np.isnan(solids.cap_y)
-    kernels.bury(row, entry, solids.solid, solids.cap_y, ground_low, buried)
+    raster_kernels.bury(row, entry, solids.solid, solids.cap_y, ground_low, buried)
     grounded = bottom <= ground_low
 
     def table(values: np.ndarray) -> np.ndarray:
@@ -107,7 +107,7 @@ def build_columns(scene: Scene, cells: CellTree, solids: Solids) -> Columns | No
         cast = values.astype(np.float32)
         cast = np.where(cast > values, np.nextafter(cast, np.float32(-np.inf)), cast)
         out[0] = cast.reshape(nx, nz)
-        kernels.minimum_windows(out)
+        raster_kernels.minimum_windows(out)
         return out
 
     return Columns(

@@ -13,8 +13,11 @@ Inside   A camera inside S sees what touches S: objects whose boxes meet S are k
          behind S, unless seen through its missing cap: where that is not under the ground, S does not count for
          targets that reach below it. A solid with sides that are not drawn never counts for cells that it meets.
 Patches  `patches.py`: thin walls, for interiors.
-Order    Down the view-space tree, then each cell in parts; a part only looks at what the whole could not hide.
-         Targets are the objects' parts on tiles, in Morton order under a tree of boxes.
+Order    A cell is looked at whole, then in parts, and a part only looks at what the whole could not hide. Targets are
+         the objects' parts on tiles, in Morton order under a tree of boxes. A few small parts go first: what they cannot
+         hide is kept and costs nothing more (San Francisco 1.7 -> 0.9 s a cell).
+Tried    Down the view-space tree, so that a cell looks only at what its parent could not hide: the same sets, 0.46 instead
+         of 0.51 and 0.40 instead of 0.33 s a cell in two parts of Munich. Nothing gained: a parent hides little.
 Bounds   (1 - t) P + t Q and its squares round by less than 32 u of the largest coordinate; the bundle is widened, raised
          and lowered by 128 u of it, which also makes m lie strictly inside. Boxes of solids, cells and objects are
          compared exactly. Points of a cell under the ground are no camera points (`columns.py` says what is ground).
@@ -28,8 +31,8 @@ import numpy as np
 
 from farfield.geometry.cells import CellTree
 from farfield.scene.model import Scene
-from farfield.visibility import column_kernels, patch_kernels
 from farfield.visibility import conservative_kernels as kernels
+from farfield.visibility import patch_kernels
 from farfield.visibility.columns import Columns, build_columns
 from farfield.visibility.patches import Patches, find_patches
 from farfield.visibility.solids import Placed, Solids, find_solids, place_triangles
@@ -181,39 +184,43 @@ def _morton(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.asarray(spread(x) << 1 | spread(z))
 
 
+def _part(box: np.ndarray, n: int, i: int, k: int) -> np.ndarray:
+    """Part (i, k) of n by n of a box (2,3); neighbours share their sides exactly, and all together are the box."""
+    low, size = box[0], box[1] - box[0]
+    part = box.copy()
+    for axis, j in ((0, i), (2, k)):
+        part[0, axis] = low[axis] + size[axis] * (j / n)
+        part[1, axis] = box[1, axis] if j == n - 1 else low[axis] + size[axis] * ((j + 1) / n)
+    return part
+
+
 class _Proof:
     """One subtree's proof: what is kept so far."""
 
     def __init__(self, scene: Scene, cells: CellTree, occluders: Occluders, node: int, seen: np.ndarray) -> None:
         self.scene, self.cells, self.occluders = scene, cells, occluders
-        self.first = int(cells.start[node])
         self.tests = 0
         reach = max(np.abs(scene.object_box).max(initial=0.0), np.abs(cells.box[node]).max())
         self.slack = float(_SLACK * reach)
         self.open = ~seen
+        leaves = range(int(cells.start[node]), int(cells.stop[node]))
         if occluders.columns is not None and occluders.targets is not None:
             self.columns, self.targets = occluders.columns, occluders.targets
-            self.proved = np.zeros_like(self.open)
-            self._by_columns(node, np.arange(len(self.targets.object), dtype=np.int32))
-            self.open &= ~self.proved
+            for cell in leaves:
+                self._by_columns(cells.cell_box[cell], self.open[cell - leaves.start])
         if occluders.patches is not None:
-            self._by_patches(node, np.arange(scene.n_objects))
+            for cell in leaves:
+                self._by_patches(cells.cell_box[cell], self.open[cell - leaves.start])
         self.keep = seen | self.open
 
-    def _by_columns(self, node: int, item: np.ndarray) -> None:
-        """Prove what can be proved from the leaf cells under `node`; `item` has what its parents could not hide."""
-        leaves = slice(self.cells.start[node] - self.first, self.cells.stop[node] - self.first)
-        box = self.cells.box[node]
-        kept = ~self.open[leaves].all(0)
+    def _by_columns(self, box: np.ndarray, open_: np.ndarray) -> None:
+        """Clear open_ (N,) b1 of what columns hide from a cell's box."""
+        kept = ~open_
         kept[self._touched(box)] = True
-        if self.cells.axis[node] < 0:
-            kept = self._divide(box, item[~kept[self.targets.object[item]]], kept, 0)
-            self.proved[leaves] = ~kept
-            return
-        left = self._hide(box, item, kept, last=False) | kept[self.targets.object[item]]
-        item = item[left]
-        self._by_columns(int(self.cells.low[node]), item)
-        self._by_columns(int(self.cells.high[node]), item)
+        item = np.arange(len(self.targets.object), dtype=np.int32)
+        self._scout(box, item, kept)
+        self._divide(box, item, kept, 0)
+        open_ &= kept
 
     def _touched(self, box: np.ndarray) -> np.ndarray:
         """Objects that a camera inside a solid in this box may see because they touch that solid."""
@@ -221,36 +228,38 @@ class _Proof:
         row = self.targets.touch_row
         return np.concatenate([np.zeros(0, np.int32), *(self.targets.touch[row[s] : row[s + 1]] for s in met)])
 
-    def _divide(self, box: np.ndarray, item: np.ndarray, kept: np.ndarray, depth: int) -> np.ndarray:
-        """Return what is kept (N,) of a cell's part `box`; what the part cannot hide is tried from smaller parts."""
-        parts = PARTS[depth]
+    def _scout(self, box: np.ndarray, item: np.ndarray, kept: np.ndarray) -> None:
+        """Look from a few of the smallest parts first: most of what no part can hide need not be looked at again."""
+        n = int(np.prod(PARTS))
+        for i, k in ((0, 0), (n - 1, n - 1), (0, n - 1), (n - 1, 0), (n // 2, n // 2)):
+            self._hide(_part(box, n, i, k), item[~kept[self.targets.object[item]]], kept, last=True)
+
+    def _divide(self, box: np.ndarray, item: np.ndarray, kept: np.ndarray, depth: int) -> None:
+        """Add to `kept` (N,) b1 what a cell's part `box` cannot hide, nor all of its own parts."""
         last = depth == len(PARTS) - 1
-        side = np.linspace(0.0, 1.0, parts + 1)
-        for i in range(parts):
-            for k in range(parts):
-                part = box.copy()
-                part[0, [0, 2]] = box[0, [0, 2]] + (box[1, [0, 2]] - box[0, [0, 2]]) * (side[i], side[k])
-                part[1, [0, 2]] = box[0, [0, 2]] + (box[1, [0, 2]] - box[0, [0, 2]]) * (side[i + 1], side[k + 1])
+        for i in range(PARTS[depth]):
+            for k in range(PARTS[depth]):
+                item = item[~kept[self.targets.object[item]]]
+                part = _part(box, PARTS[depth], i, k)
                 left = item[self._hide(part, item, kept, last=last)]
                 if not last and len(left):
-                    kept = self._divide(part, left, kept, depth + 1)
-        return kept
+                    self._divide(part, left, kept, depth + 1)
 
     def _hide(self, box: np.ndarray, item: np.ndarray, kept: np.ndarray, *, last: bool) -> np.ndarray:
         """Return which items (n,) b1 may be seen from a box; adds their objects to `kept` if last."""
         columns, targets, solids = self.columns, self.targets, self.occluders.solids
         open_ = np.zeros(len(item), dtype=np.bool_)
-        box, on_ground = self._above_ground(box)
-        if box is None or not len(item):
+        above, on_ground = self._above_ground(box)
+        if above is None or not len(item):
             return open_
-        met = _meet(solids.box, box) & (solids.culled | ~np.isnan(solids.cap_y))
+        counts = solids.culled | ~np.isnan(solids.cap_y)
         if on_ground:
-            met &= ~columns.buried
-        met = np.flatnonzero(met)
+            counts &= ~columns.buried
+        met = np.flatnonzero(_meet(solids.box, above) & counts)
         cap = np.where(solids.side[met] == 1, solids.cap_y[met], np.inf)
         absent = np.concatenate([solids.box[met][:, 0, [0, 2]], solids.box[met][:, 1, [0, 2]], cap[:, None]], 1)
         self.tests += kernels.hide(
-            box[0], box[1], item, targets.box, targets.object, targets.own[int(on_ground)],
+            above[0], above[1], item, targets.box, targets.object, targets.own[int(on_ground)],
             targets.own_cap[int(on_ground)], absent, (columns.x0, columns.z0, columns.size), self.slack, on_ground,
             columns.top, columns.bottom_on_ground if on_ground else columns.bottom, columns.under, targets.blocks,
             kept, last, open_,
@@ -275,22 +284,14 @@ class _Proof:
         above[0, 1] = max(above[0, 1], ground)
         return above, True
 
-    def _by_patches(self, node: int, objects: np.ndarray) -> None:
-        leaves = slice(self.cells.start[node] - self.first, self.cells.stop[node] - self.first)
-        open_ = self.open[leaves]
-        objects = objects[open_[:, objects].any(0)]
-        if not len(objects):
-            return
-        everywhere = objects[open_[:, objects].all(0)]
-        hidden = np.zeros(len(everywhere), dtype=np.bool_)
+    def _by_patches(self, box: np.ndarray, open_: np.ndarray) -> None:
+        """Clear open_ (N,) b1 of what a single patch hides from a cell's box."""
+        objects = np.flatnonzero(open_)
+        hidden = np.zeros(len(objects), dtype=np.bool_)
         patches = self.occluders.patches
         assert patches is not None
-        box = self.cells.box[node]
         patch_kernels.hide(
-            box[0], box[1], everywhere, self.scene.object_box, patches.row, patches.edge, patches.normal, patches.span,
+            box[0], box[1], objects, self.scene.object_box, patches.row, patches.edge, patches.normal, patches.span,
             patches.two_sided, self.slack, hidden,
         )  # fmt: skip
-        open_[:, everywhere[hidden]] = False
-        if self.cells.axis[node] >= 0:
-            self._by_patches(int(self.cells.low[node]), objects)
-            self._by_patches(int(self.cells.high[node]), objects)
+        open_[objects[hidden]] = False

@@ -6,9 +6,10 @@
 import numpy as np
 from numba import njit
 
-from farfield.visibility.column_kernels import _span, _touches, heights
+from farfield.visibility.raster_kernels import heights, span, touches
 
 BLOCK = 16  # squares a side of a block that is leapt over where it is too low
+STRIDE = 0.25
 WIDEST = 64  # squares; wider bundles of sight lines are not looked at
 
 
@@ -21,12 +22,12 @@ def target_parts(vertex, triangle, owner, x0, z0, size, pad, nx, nz, tile, box, 
         a, b, c = vertex[triangle[t, 0]], vertex[triangle[t, 1]], vertex[triangle[t, 2]]
         low_x, high_x = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
         low_z, high_z = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
-        i0, i1 = _span(low_x, high_x, x0, size, pad, nx)
-        k0, k1 = _span(low_z, high_z, z0, size, pad, nz)
+        i0, i1 = span(low_x, high_x, x0, size, pad, nx)
+        k0, k1 = span(low_z, high_z, z0, size, pad, nz)
         for i in range(i0, i1 + 1):
             for k in range(k0, k1 + 1):
                 px, pz = x0 + (i + 0.5) * size, z0 + (k + 0.5) * size
-                if not _touches(a[0], a[2], b[0], b[2], c[0], c[2], px, pz, half):
+                if not touches(a[0], a[2], b[0], b[2], c[0], c[2], px, pz, half):
                     continue
                 if fill:
                     tile[n] = owner[t] * (nx * nz) + i * nz + k
@@ -39,29 +40,29 @@ def target_parts(vertex, triangle, owner, x0, z0, size, pad, nx, nz, tile, box, 
 
 
 @njit(cache=True)
-def _least(table, i0, i1, k0, k1):
-    """The least of table[0] over squares [i0, i1] x [k0, k1]; -inf outside the raster."""
+def _reaches(table, i0, i1, k0, k1, y):
+    """Is table[0] at least y over all squares [i0, i1] x [k0, k1]? Outside the raster it is not."""
     levels, nx, nz = table.shape
     if i0 < 0 or k0 < 0 or i1 >= nx or k1 >= nz:
-        return -np.inf
+        return False
     shorter = min(i1 - i0, k1 - k0) + 1
     level = 0
     while level + 1 < levels and (2 << level) <= shorter:
         level += 1
     step = 1 << level
-    least = np.inf
     i = i0
     while True:
         k = k0
         while True:
-            least = min(least, table[level, i, k])
+            if table[level, i, k] < y:
+                return False
             if k + step > k1:
                 break
             k = min(k + step, k1 - step + 1)
         if i + step > i1:
             break
         i = min(i + step, i1 - step + 1)
-    return least
+    return True
 
 
 @njit(cache=True)
@@ -74,44 +75,44 @@ def highest_blocks(top, under, out):
 
 
 @njit(cache=True)
-def blocked(low, high, to_low, to_high, own, own_cap, absent, raster, slack, on_ground, top, bottom, under, blocks):
+def blocked(
+    low, high, to_low, to_high, own, own_cap, absent, raster, slack, on_ground, top, bottom, under, blocks, hint
+):  # fmt: skip
     """Is every segment from box [low, high] to box [to_low, to_high] blocked by columns?
 
     own, own_cap  (4,) rectangle (x, z, x, z) and highest cap of the open solids that the target touches
     absent        (m,5) rectangles of solids that must not count, for targets that reach below the fifth number
     raster        (x0, z0, size);  slack  metres that bound all rounding here
+    hint          (1,) how far from the box the last success was: neighbours are hidden by the same
     """
     x0, z0, size = raster
     px, pz = 0.5 * (low[0] + high[0]), 0.5 * (low[2] + high[2])
-    qx, qz = 0.5 * (to_low[0] + to_high[0]), 0.5 * (to_low[2] + to_high[2])
+    dx, dz = 0.5 * (to_low[0] + to_high[0]) - px, 0.5 * (to_low[2] + to_high[2]) - pz
     hx, hz = 0.5 * (high[0] - low[0]), 0.5 * (high[2] - low[2])
     gx, gz = 0.5 * (to_high[0] - to_low[0]), 0.5 * (to_high[2] - to_low[2])
-    dx, dz = qx - px, qz - pz
-    n = int(max(abs(dx), abs(dz)) / size) + 1
+    far = max(abs(dx), abs(dz))
+    n = int(far / size) + 1
     nx, nz = top.shape[1], top.shape[2]
-    own_counts = low[1] <= own_cap
-    j = 0
+    j = -1 if hint[0] < far else 0
     while j < n:
-        t = (j + 0.5) / n
+        t = (j + 0.5) / n if j >= 0 else hint[0] / far
         cx, cz = px + t * dx, pz + t * dz
         i, k = int(np.floor((cx - x0) / size)), int(np.floor((cz - z0) / size))
+        j += 1
         if i < 0 or k < 0 or i >= nx or k >= nz:
-            j += 1
             continue
         y_high = (1.0 - t) * high[1] + t * to_high[1] + slack
-        if blocks[i // BLOCK, k // BLOCK] < y_high:
+        highest = blocks[i // BLOCK, k // BLOCK]
+        if highest < y_high:
             # Leap to where the line leaves the block, unless it sinks below the block's top before.
             ex = x0 + ((i // BLOCK) + (1 if dx > 0.0 else 0)) * BLOCK * size
             ez = z0 + ((k // BLOCK) + (1 if dz > 0.0 else 0)) * BLOCK * size
             tx = (ex - px) / dx if dx != 0.0 else np.inf
             tz = (ez - pz) / dz if dz != 0.0 else np.inf
             leave = min(tx, tz, 1.0)
-            if blocks[i // BLOCK, k // BLOCK] < (1.0 - leave) * high[1] + leave * to_high[1]:
-                j = max(j + 1, int(leave * n))
-            else:
-                j += 1
+            if j > 0 and highest < (1.0 - leave) * high[1] + leave * to_high[1]:
+                j = max(j, int(leave * n))
             continue
-        j += 1
         if max(top[0, i, k], under[0, i, k]) < y_high:
             continue
         rx, rz = (1.0 - t) * hx + t * gx + slack, (1.0 - t) * hz + t * gz + slack
@@ -119,13 +120,13 @@ def blocked(low, high, to_low, to_high, own, own_cap, absent, raster, slack, on_
         k0, k1 = int(np.floor((cz - rz - z0) / size)), int(np.floor((cz + rz - z0) / size))
         if max(i1 - i0, k1 - k0) >= WIDEST:
             continue
-        found = on_ground and _least(under, i0, i1, k0, k1) >= y_high
-        if not found:
+        if j > 0:
+            j += int(STRIDE * min(rx, rz) / size)
+        if not (on_ground and _reaches(under, i0, i1, k0, k1, y_high)):
             y_low = (1.0 - t) * low[1] + t * to_low[1] - slack
-            found = _least(top, i0, i1, k0, k1) >= y_high and _least(bottom, i0, i1, k0, k1) >= -y_low
-        if not found:
-            continue
-        if own_counts and cx + rx >= own[0] and cx - rx <= own[2] and cz + rz >= own[1] and cz - rz <= own[3]:
+            if not (_reaches(top, i0, i1, k0, k1, y_high) and _reaches(bottom, i0, i1, k0, k1, -y_low)):
+                continue
+        if low[1] <= own_cap and cx + rx >= own[0] and cx - rx <= own[2] and cz + rz >= own[1] and cz - rz <= own[3]:
             continue
         clear = True
         for m in range(len(absent)):
@@ -134,6 +135,7 @@ def blocked(low, high, to_low, to_high, own, own_cap, absent, raster, slack, on_
                 clear = False
                 break
         if clear:
+            hint[0] = t * far
             return True
     return False
 
@@ -175,7 +177,8 @@ def hide(
             rect[node, axis] = min(rect[a, axis], rect[b, axis])
             rect[node, 2 + axis] = max(rect[a, 2 + axis], rect[b, 2 + axis])
         cap[node] = max(cap[a], cap[b])
-    stack = np.empty(64, np.int64)
+    hint = np.full(1, np.inf)
+    stack = np.empty(128, np.int64)
     stack[0], depth, tests = 1, 1, 0
     open_[:] = False
     while depth:
@@ -188,7 +191,7 @@ def hide(
         tests += 1
         if blocked(
             low, high, box[node, 0], box[node, 1], rect[node], cap[node], absent, raster, slack, on_ground, top, bottom,
-            under, blocks,
+            under, blocks, hint,
         ):  # fmt: skip
             continue
         if node >= m:
@@ -196,6 +199,9 @@ def hide(
             if last:
                 kept[item_object[item[node - m]]] = True
         else:
-            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node
-            depth += 2
+            # Four at a time: of a node that fails, its two halves mostly fail as well.
+            first, n_parts = (4 * node, 4) if 2 * node < m else (2 * node, 2)
+            for part in range(n_parts - 1, -1, -1):
+                stack[depth] = first + part
+                depth += 1
     return tests

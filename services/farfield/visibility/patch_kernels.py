@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from farfield.visibility.solid_kernels import _mix, _root
+from farfield.visibility.solid_kernels import mix, root
 
 _FLAT = 1.0 - 1e-8  # cosine between neighbours that may join
 _REFLEX = -1e-5  # sine of the deepest notch in an outline
@@ -40,7 +40,7 @@ def join(vertex, triangle, normal, two_sided, next_, face):
         t, k = h // 3, h % 3
         next_[h], previous[h] = 3 * t + (k + 1) % 3, 3 * t + (k + 2) % 3
         a, b = triangle[t, k], triangle[t, (k + 1) % 3]
-        slot = np.int64(_mix(_mix(np.uint64(0), np.uint64(min(a, b))), np.uint64(max(a, b))) & np.uint64(size - 1))
+        slot = np.int64(mix(mix(np.uint64(0), np.uint64(min(a, b))), np.uint64(max(a, b))) & np.uint64(size - 1))
         while True:
             g = table[slot]
             if g < 0:
@@ -68,7 +68,7 @@ def join(vertex, triangle, normal, two_sided, next_, face):
         n = normal[s]
         if n[0] * normal[t, 0] + n[1] * normal[t, 1] + n[2] * normal[t, 2] < _FLAT or two_sided[s] != two_sided[t]:
             continue
-        a, b = _root(parent, s), _root(parent, t)
+        a, b = root(parent, s), root(parent, t)
         if a == b:
             continue
         ph, nh, pg, ng = previous[h], next_[h], previous[g], next_[g]
@@ -82,7 +82,7 @@ def join(vertex, triangle, normal, two_sided, next_, face):
         next_[h], next_[g] = -1, -1
         parent[max(a, b)] = min(a, b)
     for t in range(len(triangle)):
-        face[t] = _root(parent, t)
+        face[t] = root(parent, t)
 
 
 @njit(cache=True)

@@ -76,7 +76,7 @@ def orient2d(ax, ay, bx, by, cx, cy):
 
 
 @njit(cache=True)
-def _mix(h, word):
+def mix(h, word):
     h = (h ^ word) * np.uint64(0x9E3779B97F4A7C15)
     return h ^ (h >> np.uint64(29))
 
@@ -94,7 +94,7 @@ def weld(position, number):
     for i in range(len(position)):
         h = np.uint64(0)
         for axis in range(3):
-            h = _mix(h, bits[i, axis])
+            h = mix(h, bits[i, axis])
         slot = np.int64(h & np.uint64(size - 1))
         while True:
             k = table[slot]
@@ -130,7 +130,7 @@ def edges(triangle, edge, low, high, uses, direction):
             turn = 1
             if a > b:
                 a, b, turn = b, a, -1
-            h = _mix(_mix(np.uint64(0), np.uint64(a)), np.uint64(b))
+            h = mix(mix(np.uint64(0), np.uint64(a)), np.uint64(b))
             slot = np.int64(h & np.uint64(size - 1))
             while True:
                 e = table[slot]
@@ -149,7 +149,7 @@ def edges(triangle, edge, low, high, uses, direction):
 
 
 @njit(cache=True)
-def _root(parent, i):
+def root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -167,12 +167,12 @@ def connect(edge, n_edges, group):
             if owner[e] < 0:
                 owner[e] = t
             else:
-                a, b = _root(parent, t), _root(parent, owner[e])
+                a, b = root(parent, t), root(parent, owner[e])
                 if a != b:
                     parent[max(a, b)] = min(a, b)
     n = 0
     for t in range(len(edge)):
-        r = _root(parent, t)
+        r = root(parent, t)
         if r == t:
             group[t] = n
             n += 1
