@@ -122,8 +122,6 @@ def _cached_occluders(scene: Scene, cells: CellTree) -> Occluders:
 
 def _targets(scene: Scene, placed: Placed, solids: Solids, columns: Columns) -> Targets:
     size = scene.cell_m / TILES_A_CELL
-    nx = int(columns.top.shape[1] * columns.size / size) + 2
-    nz = int(columns.top.shape[2] * columns.size / size) + 2
     low = placed.corner[:, :, [0, 2]].reshape(-1, 2)
     first = np.floor(low.min(0) / size)
     nx, nz = (np.floor(low.max(0) / size) - first + 1).astype(np.int64).tolist()
