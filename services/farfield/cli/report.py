@@ -123,7 +123,8 @@ def _visibility(seen: Mapping[str, Any]) -> str:
     if seen["p99_ppm"] is not None:
         missed += f", {seen['p99_ppm']:.0f} in the worst view of 100"
     closed = f", {seen['closed_cells']:,} cells closed" if seen["closed_cells"] else ""
-    return f"{seen['mode']}: a cell sees {seen['mean_objects']:,.0f} objects, {missed}{closed}"
+    hides = "".join(f"; {reason}" for reason in seen.get("occluders") or ())
+    return f"{seen['mode']}: a cell sees {seen['mean_objects']:,.0f} objects, {missed}{closed}{hides}"
 
 
 def _device(device: Mapping[str, Any]) -> str:
@@ -152,7 +153,9 @@ def _stages(stages: list[dict[str, Any]]) -> Table:
 
 
 def _curve(report: Mapping[str, Any]) -> Table:
-    table = Table(title="memory over budget, as estimated before the bake", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    table = Table(
+        title="memory over budget, as estimated before the bake", title_justify="left", box=None, padding=(0, 2, 0, 0)
+    )
     for name in ("budget", "memory", "views over it"):
         table.add_column(name, justify="right")
     table.add_column("")

@@ -100,6 +100,11 @@ def prove(scene: Scene, cells: CellTree, node: int, seen: np.ndarray) -> np.ndar
     return _Proof(scene, cells, _cached_occluders(scene, cells), node, seen).keep
 
 
+def reasons(scene: Scene, cells: CellTree) -> tuple[str, ...]:
+    """Return what `prove` takes to hide something in this scene and what not, and why, in sentences."""
+    return _cached_occluders(scene, cells).reasons
+
+
 _cache: dict[str, Occluders] = {}
 
 

@@ -44,7 +44,7 @@ def merge(scene: Scene, cells: CellTree, parts: Sequence[Sightings]) -> VisibleS
     ppm = np.sort(np.concatenate(shares))
     return VisibleSets(
         mode=first.mode, row=row, object=object, closed=closed, rays=sum(p.rays for p in parts), rule=first.rule,
-        seen_share=first.seen_share, held_out=held, held_out_missed=missed,
+        occluders=first.occluders, seen_share=first.seen_share, held_out=held, held_out_missed=missed,
         missed_ppm_upper=upper_ppm(missed, held) if held else None, views=len(ppm),
         p99_ppm=float(ppm[-1 - len(ppm) // 100]) if len(ppm) else None,
         worst_ppm=float(ppm[-1]) if len(ppm) else None,

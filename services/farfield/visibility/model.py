@@ -25,6 +25,7 @@ class VisibleSets:
     closed: np.ndarray = field(default_factory=_no_cells)  # (Z,) i32  cells without a free camera point
     rays: int = 0  # traced to find the sets, those that were held out not among them
     rule: str = ""  # what makes a camera point free: "sky", "facing" or "any", see farfield.visibility.free
+    occluders: tuple[str, ...] = ()  # "conservative": what is taken to hide something and what not, and why
     seen_share: float | None = None  # of the objects' cost, that "auto" found a cell to see; None: not asked
     held_out: int = 0  # rays
     held_out_missed: int = 0
@@ -45,7 +46,7 @@ def summary(visible: VisibleSets, *, n_objects: int) -> dict[str, Any]:
     figures = ("mode", "rule", "seen_share", "rays", "held_out", "held_out_missed", "missed_ppm_upper", "views", "p99_ppm",
                "worst_ppm")  # fmt: skip
     return {
-        **{name: getattr(visible, name) for name in figures}, "closed_cells": len(visible.closed),
+        **{name: getattr(visible, name) for name in figures}, "occluders": list(visible.occluders), "closed_cells": len(visible.closed),
         "mean_objects": round(len(visible.object) / cells, 1) if cells > 0 else float(n_objects),
     }  # fmt: skip
 
@@ -59,6 +60,7 @@ class Sightings:
 
     mode: str
     rule: str
+    occluders: tuple[str, ...]
     seen_share: float | None
     cell: np.ndarray  # (C,) i32  ascending
     bits: np.ndarray  # (C,W) u64

@@ -76,11 +76,13 @@ def see(
     """
     sampler = Sampler(scene, cells, node, seed=settings.seed)
     sampler.run(rays=settings.visibility.rays, missed_ppm=settings.visibility.missed_ppm)
+    occluders: tuple[str, ...] = ()
     if mode == "conservative":
-        from farfield.visibility.conservative import prove  # late: the other mode need not load what proofs take
+        from farfield.visibility import conservative  # late: the other mode need not load what proofs take
 
-        sampler.keep(prove(scene, cells, node, sampler.witnessed()))
-    return sampler.sightings(mode=mode, seen_share=seen_share)
+        sampler.keep(conservative.prove(scene, cells, node, sampler.witnessed()))
+        occluders = conservative.reasons(scene, cells)
+    return sampler.sightings(mode=mode, seen_share=seen_share, occluders=occluders)
 
 
 class Sampler:
@@ -135,7 +137,7 @@ class Sampler:
         padded[:, : self.n_objects] = sets
         self.seen[slice(*self.own)] = np.packbits(padded, axis=1, bitorder="little").view(np.uint64)
 
-    def sightings(self, *, mode: str, seen_share: float | None) -> Sightings:
+    def sightings(self, *, mode: str, seen_share: float | None, occluders: tuple[str, ...] = ()) -> Sightings:
         """Return the shard's artifact: what was seen so far, and fresh held-out rays and views."""
         touched = np.flatnonzero(self.seen.any(1)).astype(np.int32)
         closed = np.setdiff1d(np.arange(len(self.places.row) - 1), self.open) + self.own[0]
@@ -143,7 +145,7 @@ class Sampler:
         through = self.places.below[-1] / self.everywhere.below[-1]
         cell, object, count, n = self._held_out(self._merge_rng, round(HELD_OUT_TRIES * through), once=True)
         return Sightings(
-            mode=mode, rule=self.rule, seen_share=seen_share, cell=touched, bits=self.seen[touched],
+            mode=mode, rule=self.rule, occluders=occluders, seen_share=seen_share, cell=touched, bits=self.seen[touched],
             closed=closed.astype(np.int32), rays=self.n_rays, held_cell=cell.astype(np.int32), held_object=object,
             held_count=count, held_out=n, **self._views(round(VIEW_TRIES * through)),
         )  # fmt: skip

@@ -33,7 +33,7 @@ export function certificate(report: Report, placement: string): HTMLElement {
   const seen = report.visibility;
   if (seen && seen.mode !== "off") {
     const missed = known(seen.missed_ppm_upper) ? `at most ${seen.missed_ppm_upper.toFixed(0)} missed pixels a million (95 %)${known(seen.p99_ppm) ? `, ${seen.p99_ppm.toFixed(0)} in the worst view of 100` : ""}` : "no camera point to test it from";
-    rest.push(["Objects a cell sees", seen.mean_objects.toFixed(0), `${seen.mode}; ${missed}${seen.closed_cells ? `; ${seen.closed_cells} cells closed` : ""}`]);
+    rest.push(["Objects a cell sees", seen.mean_objects.toFixed(0), `${seen.mode}; ${missed}${seen.closed_cells ? `; ${seen.closed_cells} cells closed` : ""}${(seen.occluders ?? []).map((why) => `; ${why}`).join("")}`]);
   }
   if (report.bound && known(report.lower_bound_bytes)) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `before the bake; ${bytes(report.bound.estimated_bytes)} placed${known(report.bound.gap) ? `, ${(100 * report.bound.gap).toFixed(0)} % more` : ""}`]);
   if (known(report.file_bytes)) rest.push(["Files", bytes(report.file_bytes), known(report.pages) ? plural(report.pages, "page") : ""]);

@@ -82,7 +82,7 @@ export interface Report {
   video_bytes?: number;
   lower_bound_bytes?: number | null;
   visibility?: {
-    mode: string; rule: string; seen_share: number | null; rays: number; held_out: number; held_out_missed: number;
+    mode: string; rule: string; occluders?: string[]; seen_share: number | null; rays: number; held_out: number; held_out_missed: number;
     missed_ppm_upper: number | null; views: number; p99_ppm: number | null; worst_ppm: number | null; closed_cells: number; mean_objects: number;
   };
   bound?: { method: "lp" | "lagrangian"; estimated_bytes: number; gap: number | null; choices: number } | null;
