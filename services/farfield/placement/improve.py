@@ -7,7 +7,11 @@ Method   Over and over: take out a few impostors that some view shows side by si
          drawn when it was chosen), weighed by the price of the view: what the present impostors' bytes come to for a unit
          of cost saved there. Drop what became superfluous, and keep the new set unless it is heavier. Every step ends
          with all targets met. Only candidates count that earn CORE of their bytes at those prices.
-Ends     after so many moves an impostor, or so much work, counted in entries looked at and not in seconds.
+Ends     after so many moves an impostor, or so much work, counted in entries looked at and not in seconds. Where more
+         than MOST_ENTRIES pairs of candidate and view count, only the reverse delete is done.
+Tried    Placed bytes without and with it: towns of 400 houses 789 and 776, 5,519 and 5,418 MB, one of 1,600 houses 111.3
+         and 111.1, the cut-out of the demo city 1,128 and 1,108. With ten times the work 753 MB instead of 776. The whole
+         demo city (57.6 M entries): 0.1 % for 69 s. Greedy among candidates at the bound's prices: 1 % less to 5 % more.
 After    Schrimpf, Schneider, Stamm-Wilbrandt, Dueck. Record Breaking Optimization Results Using the Ruin and Recreate
          Principle. J. Comp. Phys. 159, 2000.
 """
@@ -28,7 +32,7 @@ from farfield.placement.prune import prune
 
 CORE = 0.7
 MOVES_AN_IMPOSTOR, LEAST_MOVES = 8, 2000
-WORK_AN_ENTRY, MOST_WORK = 250, 1_000_000_000  # the latter some 20 s
+WORK_AN_ENTRY, MOST_ENTRIES = 250, 4_000_000  # 250 an entry: some 5 s a million
 SLICE = 20_000_000  # work between two looks at the clock
 
 
@@ -52,6 +56,8 @@ def improve(
     price = first_prices(*by_impostor(offers, len(chosen)), candidates.bytes[chosen], needed) / np.maximum(needed, 1)
     part = _earned(candidates.row, candidates.view, candidates.saved, price, needed) >= CORE * candidates.bytes
     part[chosen] = True
+    if (np.diff(candidates.row)[part]).sum() > MOST_ENTRIES:
+        return chosen
     core = _core(candidates, np.flatnonzero(part), price, needed, end)
     position = (np.cumsum(part) - 1)[chosen]
     held = _held(core, position.astype(np.int32), seed)
@@ -60,7 +66,7 @@ def improve(
         held_kernels.look_again(i, core, held, trees)
     held.counter[held_kernels.WORK] = 0
     wanted, work = max(moves * len(chosen), LEAST_MOVES), 0
-    most = min(MOST_WORK, WORK_AN_ENTRY * len(core.views) + SLICE)
+    most = WORK_AN_ENTRY * len(core.views) + SLICE
     while held.counter[held_kernels.MOVES] < wanted and work < most and len(position) and not stop():
         work = min(most, work + SLICE)
         kernels.search(core, held, trees, move, wanted, work)
