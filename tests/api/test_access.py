@@ -31,6 +31,7 @@ ROUTES = [
     ("POST", f"/v1/jobs/{JOB}/cancel", None, "submit"),
     ("POST", f"/v1/jobs/{JOB}/retry", None, "submit"),
     ("GET", f"/v1/jobs/{JOB}/report", None, "read"),
+    ("GET", f"/v1/jobs/{JOB}/curve", None, "read"),
     ("GET", f"/v1/jobs/{JOB}/events", None, "read"),
     ("GET", f"/v1/jobs/{JOB}/stages/scene/shards", None, "read"),
     ("POST", "/v1/devices", {"name": "office"}, "submit"),
