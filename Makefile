@@ -37,7 +37,7 @@ serve: setup ## start the service: API, workers, viewer, dashboard
 test: setup ## run all tests
 	@sh infra/setup/system.sh chromium
 	@cd webviewer && $(NPM) test --silent
-	@$(VENV)/python -m pytest
+	@$(VENV)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 accept: setup ## run the whole demo, check it and print its figures
 	@sh infra/setup/system.sh chromium
