@@ -73,7 +73,7 @@ class Step:
 def shard_key(step: Step, inputs: Inputs, shard: Shard) -> str:
     """Return the digest of everything that shapes the shard's artifact. `shard` is "plan" or "merge" for those two.
 
-    A known key means the work is done. The bake's key also holds the renderer, see `_bake_plan`.
+    A known key means the work is done. The bake's names no renderer: each records the same tiles, and which it was.
     Where `step.timed`, a clock may end the work early: what a known key names will do, being what there was time for at
     best, but the result must not be kept under its own.
     """
@@ -327,10 +327,13 @@ def _place(inputs: Inputs, regions: Sequence[Any]) -> Parts:
     from farfield.placement.greedy import place
     from farfield.placement.model import RegionChoice
 
+    choices = [unpack_dataclass(RegionChoice, a) for a in regions]
+    # What regions chose that a clock stopped is not in the key that names the checkpoint.
+    checkpoint = None if any(choice.stopped for choice in choices) else _checkpoint(inputs)
     placement = place(
         inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
-        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), settings=inputs.settings,
-        regions=[unpack_dataclass(RegionChoice, a) for a in regions], checkpoint=_checkpoint(inputs),
+        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), settings=inputs.settings, regions=choices,
+        checkpoint=checkpoint,
     )  # fmt: skip
     return dataclass_parts(placement)
 
@@ -471,7 +474,7 @@ STEPS: dict[Stage, Step] = {
              asks=("budget", "device", "device_profile")),
         Step(stage=Stage.RENDERTIME, version=2, queue=Queue.CPU, inputs=(_S, _D), plan=_one, run=_rendertime,
              reads=("budget", "device", "device_profile", _CAMERA)),
-        Step(stage=Stage.VISIBILITY, version=2, queue=Queue.CPU, inputs=(_S,), skip=_visibility_skip,
+        Step(stage=Stage.VISIBILITY, version=3, queue=Queue.CPU, inputs=(_S,), skip=_visibility_skip,
              plan=_visibility_plan, run=_visibility, merge=_visibility_merge,
              reads=("visibility.missed_ppm", "visibility.rays", "seed"), asks=("visibility.mode",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,
@@ -479,17 +482,17 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.CANDIDATES, version=2, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
              plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
              reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.view_cells")),
-        Step(stage=Stage.PLACEMENT, version=5, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
+        Step(stage=Stage.PLACEMENT, version=6, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
         Step(stage=Stage.BAKE, version=2, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
         Step(stage=Stage.REPAIR, version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
-        Step(stage=Stage.BOUND, version=1, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
+        Step(stage=Stage.BOUND, version=2, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
              run=_bound, merge=_bound_merge, reads=("placement.bound",)),
         Step(stage=Stage.PLACEMENTDB, version=3, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
-             plan=_one, run=_placementdb, reads=("budget", _CAMERA, _QUALITY, "view_space", "placement", "seed")),
+             plan=_one, run=_placementdb, reads=tuple(f.name for f in fields(Settings))),  # its manifest states them all
         Step(stage=Stage.EVALUATION, version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=_evaluation_plan,
              run=_evaluation, merge=_evaluation_merge, reads=("seed",)),
     )

@@ -117,3 +117,12 @@ def test_a_time_limit_is_in_no_key_but_marks_what_it_stopped():
     assert not step.timed(free.settings) and step.timed(short.settings)
     assert shard_key(step, free, [0, 1]) == shard_key(step, short, [0, 1]) != shard_key(step, inputs_of(level), [0, 1])
     assert unpack_dataclass(Placement, walked(short, step.plan(short))).stopped
+
+
+def test_choices_that_a_clock_stopped_leave_no_checkpoint_for_the_merge(tmp_path):
+    level, step = town_level(120, budget="30 calls", view_m=48.0), STEPS[Stage.PLACEMENT]
+    for limit, kept in ((1e-6, False), (1000.0, True)):
+        inputs = replace(inputs_of(level, regions=2, time_limit_s=limit), checkpoint=tmp_path / "choices")
+        pieces = [b"".join(step.run(replace(inputs, checkpoint=None), shard)) for shard in step.plan(inputs)]
+        step.merge(inputs, pieces)
+        assert inputs.checkpoint.exists() == kept
