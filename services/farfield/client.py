@@ -7,7 +7,7 @@
             print(kind, data)
         service.fetch(job["id"], Path("placed"))
 
-Requests that change nothing, or that an idempotency key guards, are sent again where the connection fails. Events are
+Requests are sent again where the connection fails, but for the upload of a scene: what comes twice is done once. Events are
 followed with Last-Event-ID: a service that restarts in between loses none. Refusals are raised as `Refused`, with the
 service's own code and advice.
 """
@@ -206,11 +206,15 @@ class Client:
         """
         manifest, files = self.files(job)
         found(len(files) + 1)
+        for name in files:
+            if not (folder / name).resolve().is_relative_to(folder.resolve()):
+                raise ColumnsAltered("manifest.json", f"it names a file outside its folder: {name}")
+        complete = folder / "placement" / "manifest.json"
+        if complete.is_file() and complete.read_bytes() != manifest:
+            complete.unlink()  # it is of another job, whose files are replaced from here on
         fetched = 0
         for name, digest in files.items():
             path = folder / name
-            if not path.resolve().is_relative_to(folder.resolve()):
-                raise ColumnsAltered("manifest.json", f"it names a file outside its folder: {name}")
             if digest is None or not path.is_file() or file_digest(path) != digest:
                 content = self._file(job, name.removeprefix("placement/"))
                 if digest is not None and hashlib.sha256(content).hexdigest() != digest:
@@ -218,7 +222,7 @@ class Client:
                 _write(path, content)
                 fetched += 1
             sent(1)
-        _write(folder / "placement" / "manifest.json", manifest)
+        _write(complete, manifest)
         sent(1)
         return fetched + 1
 

@@ -95,6 +95,15 @@ def test_fetch_goes_on_where_it_stopped_and_writes_the_manifest_last(tmp_path):
     assert (tmp_path / "scene.glb").read_bytes() == b"glTF"
 
 
+def test_a_folder_that_held_another_job_has_no_manifest_until_all_is_there(tmp_path):
+    (tmp_path / "placement").mkdir()
+    (tmp_path / "placement" / "manifest.json").write_text("{}")
+    broken, _ = placement(damage={"pages/p.webp"})
+    with pytest.raises(ColumnsAltered):
+        broken.fetch("job", tmp_path)
+    assert not (tmp_path / "placement" / "manifest.json").exists()
+
+
 def test_a_manifest_cannot_name_a_file_outside(tmp_path):
     client, _ = placement()
     read = client.files
