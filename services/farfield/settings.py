@@ -100,6 +100,7 @@ class DeviceProfile:
     fit: Fit | None = None  # None: stated, not measured
 
 
+MOST_NS = 1e9  # of a coefficient
 COEFFICIENTS = tuple(f.name for f in dataclasses.fields(DeviceProfile) if f.name.startswith("per_"))
 
 
@@ -169,7 +170,8 @@ def check(settings: Settings) -> None:
     need(0 <= s.seed < 2**63, "seed", "must be in [0, 2**63)")
     if s.device_profile is not None:
         for key in COEFFICIENTS:
-            need(0 <= getattr(s.device_profile, key) <= 1e9, f"device_profile.{key}", "must be in [0, 1e9] nanoseconds")
+            ns = getattr(s.device_profile, key)
+            need(0 <= ns <= MOST_NS, f"device_profile.{key}", "must be in [0, 1e9] nanoseconds")
     unit_m = s.scene.unit_m
     need(unit_m is None or (1e-9 <= unit_m <= 1e9), "scene.unit_m", "must be in [1e-9, 1e9]")
     need(16 <= s.scene.split_triangles <= 1_000_000, "scene.split_triangles", "must be in 16..1,000,000")

@@ -21,7 +21,7 @@ from scipy.optimize import linprog
 
 from farfield.errors import SamplesDegenerate, SamplesTooFew
 from farfield.rendertime.samples import COLUMNS
-from farfield.settings import COEFFICIENTS, DeviceProfile, Fit
+from farfield.settings import COEFFICIENTS, MOST_NS, DeviceProfile, Fit
 
 QUANTILE = 0.95
 MIN_SAMPLES = 100
@@ -53,6 +53,10 @@ def fit_profile(samples: np.ndarray) -> DeviceProfile:
     coefficient = _quantile_fit(samples)
     if not coefficient[1:].any():
         raise SamplesDegenerate("no frame takes longer where it draws more; measure the time of the GPU, not a clock's")
+    if coefficient.max() > MOST_NS:
+        raise SamplesDegenerate(
+            f"{COEFFICIENTS[int(coefficient.argmax())]} would be over a second; are the times milliseconds?"
+        )
     over_ms = (_predicted_ns(samples, coefficient) - samples[:, -1] * 1e6) / 1e6
     fold = np.arange(len(samples)) % FOLDS
     unseen = 0

@@ -42,6 +42,13 @@ def test_noise_around_a_constant_shifts_only_the_constant():
     assert found[0] == pytest.approx(TRUE[0] + 2e5 * np.log(20), rel=0.06)
 
 
+def test_a_profile_that_no_job_would_take_is_refused():
+    samples = frames(200)
+    samples[:, -1] *= 1e6  # nanoseconds
+    with pytest.raises(SamplesDegenerate, match="are the times milliseconds"):
+        fit_profile(samples)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_at_most_a_twentieth_of_the_samples_lies_above_and_none_of_it_by_chance(seed):
     n = [100, 137, 400, 1999][seed % 4]
