@@ -50,6 +50,17 @@ def test_frames_add_up_until_they_make_a_profile(service):
     assert not list(service.settings.artifacts.glob("tmp/samples-*"))
 
 
+def test_an_idempotency_key_holds_while_the_device_gets_more_frames(service):
+    device = make(service)
+    assert send(service, device, rows(frames(160))).json()["missing"] is None
+    wanted, once = {"scene": service.upload(), "settings": {"device": "office"}}, {"idempotency-key": "one"}
+    first = service.client.post("/v1/jobs", json=wanted, headers=once)
+    noise = lambda rng, ns: rng.exponential(2e5, len(ns))  # noqa: E731
+    send(service, device, rows(frames(160, seed=1, noise=noise)))
+    again = service.client.post("/v1/jobs", json=wanted, headers=once)
+    assert (first.status_code, again.status_code, again.json()["id"]) == (201, 200, first.json()["id"]), again.text
+
+
 def test_degenerate_frames_are_kept_and_named(service):
     device = make(service)
     samples = frames(150)

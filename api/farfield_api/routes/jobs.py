@@ -47,6 +47,7 @@ def create(
     job_id, message = jobs.create(
         service.engine, caller.tenant_id, name=name, scene_digest=wanted.scene,
         settings=to_mapping(settings), stages=list(Stage), idempotency_key=idempotency_key, device_profile_id=device_id,
+        asked=to_mapping(wanted.settings),
     )  # fmt: skip
     if message is None:
         response.status_code = 200

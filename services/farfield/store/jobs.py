@@ -21,12 +21,14 @@ ENDED = ("done", "failed", "cancelled")
 def create(
     engine: sa.Engine, tenant_id: str, *, name: str, scene_digest: str, settings: dict[str, Any],
     stages: Sequence[str], idempotency_key: str | None, device_profile_id: str | None = None,
+    asked: dict[str, Any] | None = None,
 ) -> tuple[str, Message | None]:  # fmt: skip
     """Return (job id, message for its first shard); no message where the idempotency key is known.
 
+    asked  the settings as the request had them, where those of the job hold more: what its device has by now
     Raises SceneNotFound, and IdempotencyConflict where the key came with another request before.
     """
-    text = json.dumps([name, scene_digest, settings], sort_keys=True, separators=(",", ":"))
+    text = json.dumps([name, scene_digest, settings if asked is None else asked], sort_keys=True, separators=(",", ":"))
     request_digest = hashlib.sha256(text.encode()).hexdigest()
     with write(engine) as tx:
         if tx.dialect.name == "postgresql" and idempotency_key is not None:
