@@ -197,6 +197,7 @@ def lower_bound_bytes(
         best = max(best, -(-total >> shift) if shift >= 0 else total << -shift)
         pull = MOMENTUM * pull + (1 - MOMENTUM) * np.maximum(1 - covered, -2.0)
         budget *= np.exp(step * pull)
+        del row, id, entry, saved  # gigabytes on a whole city: gone before the next pass makes its own
     return best
 
 
