@@ -205,7 +205,7 @@ class Executor:
         """Return where an artifact lies: under a digest of everything that shapes it, `pieces` included."""
         key = shard_key(step, Inputs(self.paths.settings, {}, self.paths.digests), shard)
         key = hashlib.sha256(" ".join([key, *(piece.name for piece in pieces)]).encode()).hexdigest()
-        if self.cache is None:
+        if self.cache is None or step.stage == Stage.SCENE:  # a scene's key does not tell all of its files: see `run`
             return self.work / f"{step.stage}-{key[:24]}.ffc"
         folder = self.cache / step.stage
         folder.mkdir(parents=True, exist_ok=True)
