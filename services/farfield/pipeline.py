@@ -474,7 +474,7 @@ STEPS: dict[Stage, Step] = {
              asks=("budget", "device", "device_profile")),
         Step(stage=Stage.RENDERTIME, version=2, queue=Queue.CPU, inputs=(_S, _D), plan=_one, run=_rendertime,
              reads=("budget", "device", "device_profile", _CAMERA)),
-        Step(stage=Stage.VISIBILITY, version=3, queue=Queue.CPU, inputs=(_S,), skip=_visibility_skip,
+        Step(stage=Stage.VISIBILITY, version=4, queue=Queue.CPU, inputs=(_S,), skip=_visibility_skip,
              plan=_visibility_plan, run=_visibility, merge=_visibility_merge,
              reads=("visibility.missed_ppm", "visibility.rays", "seed"), asks=("visibility.mode",)),
         Step(stage=Stage.VIEWSPACE, version=1, queue=Queue.CPU, inputs=(_S, _H, _R, _V), plan=_viewspace_plan,

@@ -68,7 +68,7 @@ def measure(scene: Scene, cells: CellTree, *, seed: int) -> float | None:
 
 def _share(rays: Rays, origin: np.ndarray, cost: np.ndarray, rng: np.random.Generator) -> float:
     direction = view_directions(rng.random((len(origin), 4)))
-    object, distance, _ = rays.first(origin, direction)
+    object, distance, _ = rays.seen(origin, direction)
     hits = np.bincount(object[object >= 0], minlength=len(cost))
     hits += np.bincount(rays.passed(origin, direction, distance)[1], minlength=len(cost))
     once, twice = hits == 1, int((hits == 2).sum())

@@ -5,9 +5,10 @@ Method   Two ray tracers (Embree) over the level's triangles in world space: tho
          of masked and blended ones never do, and are listed as passed. Objects keep their triangles together, so
          that a triangle's number gives its object.
 Errs     A masked triangle hides nothing here, also where its texture is solid: what lies behind is taken as seen.
-         A single-sided triangle counts as a hit from both sides. Positions are rounded to float32 (2**-24 of the
-         distance from the scene's origin): two surfaces nearer than that may change places. After `PASSES` see-through
-         triangles in a row a ray reports no more of them.
+         A single-sided triangle hides nothing from behind, where it is not drawn (`seen`), but for one with a twin on
+         the same three corners: which of the two a ray hits is left to chance, so both stop it. Positions are rounded
+         to float32 (2**-24 of the distance from the scene's origin): two surfaces nearer than that may change places.
+         After `PASSES` see-through triangles in a row a ray reports no more of them.
 Same bytes for any number of threads that build the tree (checked in the tests: coincident faces, 1 and 2 threads).
 After    Wald et al. Embree: A Kernel Framework for Efficient CPU Ray Tracing. SIGGRAPH 2014.
 """
@@ -85,6 +86,12 @@ class Rays:
         object_of = np.repeat(np.arange(scene.n_objects, dtype=np.int32), np.diff(row))
         self._opaque, self._clear = (_soup(corner, object_of, stops[own] == kind) for kind in (True, False))
         self.see_through = self._clear.tracer is not None
+        stop = stops[own]
+        double_sided = scene.material_double_sided.astype(np.bool_)[scene.primitive_material]
+        one_sided = ~np.repeat(double_sided, np.diff(scene.primitive_triangle))[own[stop]]
+        if one_sided.any():
+            one_sided &= ~_twins(corner if stop.all() else corner[stop])
+        self._one_sided = one_sided if one_sided.any() else None
         self._step = float(np.abs(corner).max(initial=0)) * _STEP / 4
 
     def first(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,6 +104,27 @@ class Rays:
         object = np.where(hit, self._opaque.object[np.where(hit, triangle, 0)] if hit.any() else -1, -1)
         faces = hit & ((normal * direction.astype(np.float32)).sum(1) < 0)
         return object.astype(np.int32), distance, faces
+
+    def seen(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what a camera at the origins sees: (object, distance) as `first`, but rays go on behind backs that are
+        not drawn; and (R,) f64 how far they meet no opaque triangle at all, drawn or not.
+        """
+        triangle, distance, normal = self._opaque.hits(origin, direction)
+        free = distance.copy()
+        if self._one_sided is not None:
+            triangle, toward, left = triangle.copy(), direction.astype(np.float32), np.arange(len(origin))
+            for _ in range(PASSES):
+                back = (triangle[left] >= 0) & self._one_sided[triangle[left]] & ((normal * toward[left]).sum(1) > 0)
+                left = left[back]
+                if not len(left):
+                    break
+                start = distance[left] * (1 + _STEP) + self._step
+                at = origin[left] + direction[left] * start[:, None]
+                triangle[left], ahead, normal = self._opaque.hits(at, direction[left])
+                distance[left] = start + ahead
+        hit = triangle >= 0
+        object = np.where(hit, self._opaque.object[np.where(hit, triangle, 0)] if hit.any() else -1, -1)
+        return object.astype(np.int32), distance, free
 
     def passed(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (ray (K,) i64, object (K,) i32), each pair once: what rays pass through before `distance` (R,)."""
@@ -130,7 +158,7 @@ def rays_of(scene: Scene) -> Rays:
     digest = hashlib.sha256()
     for array in (
         scene.position, scene.index, scene.primitive_triangle, scene.primitive_material, scene.mesh_primitive,
-        scene.object_mesh, scene.object_matrix, scene.material_alpha_mode,
+        scene.object_mesh, scene.object_matrix, scene.material_alpha_mode, scene.material_double_sided,
     ):  # fmt: skip
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).data)
@@ -139,6 +167,21 @@ def rays_of(scene: Scene) -> Rays:
         _cache.clear()
         _cache[key] = Rays(scene)
     return _cache[key]
+
+
+def _twins(corner: np.ndarray) -> np.ndarray:
+    """Return (T,) b1: whether another of the triangles (T,3,3) f32 has the same three corners (or the same hash)."""
+    bits = (corner + np.float32(0)).view(np.uint32)  # no -0
+    point = np.zeros(corner.shape[:2], dtype=np.uint64)
+    for axis in range(3):
+        point = (point ^ bits[:, :, axis]) * np.uint64(0x9E3779B97F4A7C15)
+        point ^= point >> np.uint64(29)
+    key = point.sum(1, dtype=np.uint64)  # in whatever order they stand
+    order = np.argsort(key, kind="stable")
+    same = key[order[1:]] == key[order[:-1]]
+    out = np.zeros(len(corner), dtype=np.bool_)
+    out[order[1:][same]] = out[order[:-1][same]] = True
+    return out
 
 
 def _soup(corner: np.ndarray, object_of: np.ndarray, kept: np.ndarray) -> _Soup:

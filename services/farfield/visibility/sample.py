@@ -169,17 +169,17 @@ class Sampler:
     def trace(self, origin: np.ndarray, direction: np.ndarray) -> None:
         """Trace lines both ways from free points (R,3) along units (R,3), mark, and remember what was new."""
         n = len(origin)
-        front, ahead, _ = self.rays.first(origin, direction)
-        behind, back, _ = self.rays.first(origin, -direction)
+        front, ahead, free = self.rays.seen(origin, direction)
+        behind, back, free_back = self.rays.seen(origin, -direction)
         self.n_rays += 2 * n
         news = np.empty((n, 2), dtype=np.int32)
-        self._mark(origin, direction, back, ahead, behind, front, news)
+        self._mark(origin, direction, free_back, free, behind, front, news)
         for way in (1.0, -1.0):
             line, object = self.rays.passed(origin, way * direction, ahead if way > 0 else back)
             if len(line):
                 none = np.full(len(line), -1, np.int32)
                 passed = np.empty((len(line), 2), dtype=np.int32)
-                self._mark(origin[line], direction[line], back[line], ahead[line], none, object, passed)
+                self._mark(origin[line], direction[line], free_back[line], free[line], none, object, passed)
         cells, points = [], []
         for side, distance in ((0, -back), (1, ahead)):
             new = np.flatnonzero(news[:, side] >= 0)
@@ -256,7 +256,7 @@ class Sampler:
 
     def _pairs(self, cell: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return cell * N + object (K,) i64 for everything that rays from the cells (R,) see, ray by ray."""
-        object, distance, _ = self.rays.first(origin, direction)
+        object, distance, _ = self.rays.seen(origin, direction)
         hit = object >= 0
         ray, passed = self.rays.passed(origin, direction, distance)
         return np.concatenate([cell[hit] * self.n_objects + object[hit], cell[ray] * self.n_objects + passed])

@@ -5,6 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from blocks import block, sheet
+from blocks import scene as level_of
 from farfield.columns import pack_dataclass, unpack_dataclass
 from farfield.geometry.cells import build_cells
 from farfield.scene.model import BLEND, MASK
@@ -390,3 +392,29 @@ def test_a_sampler_stops_at_its_limit():
     sampler = Sampler(scene, cells_of(scene), 0, seed=0)
     sampler.run(rays=5000)
     assert 5000 * len(sampler.open) <= sampler.n_rays <= 5000 * len(sampler.open) + 2**17
+
+
+WALL = sheet([-10, 0, -40], [-10, 0, 40], [-10, 20, 40], [-10, 20, -40])
+GROUND = sheet([-60, 0, -60], [-60, 0, 60], [60, 0, 60], [60, 0, -60])
+
+
+def turned_over(mesh):
+    return mesh[0], mesh[1][:, ::-1]
+
+
+@pytest.mark.parametrize(
+    ("walls", "double_sided", "hides"),
+    [([WALL], False, False), ([turned_over(WALL)], False, True), ([WALL, turned_over(WALL)], False, True),
+     ([WALL], True, True)],
+    ids=["back", "front", "both", "double-sided"],
+)  # fmt: skip
+def test_a_back_that_is_not_drawn_hides_nothing(walls, double_sided, hides):
+    view, target = [[[0.5, 1.0, -1.5], [3.5, 3.0, 1.5]]], block([-30, 0, -0.5], [-29, 2, 0.5])
+    scene = level_of([target, GROUND, *walls], view=view, cell_m=4.0, double_sided=double_sided)
+    sees = sample_cells(scene, cells_of(scene), 0, rays=20_000, seed=0)[0]
+    assert sees[0] == (not hides) and sees[1]
+    assert sees[2:].any() == hides  # a back is no part of a picture
+    rays, at, along = Rays(scene), np.array([[2.0, 1.5, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
+    object, distance, free = rays.seen(at, along)
+    assert (distance[0], free[0]) == pytest.approx((12.0, 12.0) if hides else (31.0, 12.0))
+    assert (object[0] == 0) == (not hides)
