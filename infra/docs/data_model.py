@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "services" / "farfield"
 PAGE = ROOT / "docs" / "data-model.md"
 MODELS = (
-    ("scene", "scene/model.py"), ("hierarchy", "hierarchy/model.py"), ("detail", "detail/model.py"), ("rendertime", "rendertime/model.py"),
-    ("view-space tree", "geometry/cells.py"), ("visibility", "visibility/model.py"),
+    ("scene", "scene/model.py"), ("hierarchy", "hierarchy/model.py"), ("detail", "detail/model.py"),
+    ("rendertime", "rendertime/model.py"), ("view-space tree", "geometry/cells.py"), ("visibility", "visibility/model.py"),
     ("viewspace", "viewspace/model.py"),
     ("candidates", "candidates/model.py"), ("placement, repair", "placement/model.py"), ("bake", "bake/model.py"),
 )  # fmt: skip

@@ -482,7 +482,7 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.CANDIDATES, version=2, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
              plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
              reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.view_cells")),
-        Step(stage=Stage.PLACEMENT, version=6, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
+        Step(stage=Stage.PLACEMENT, version=7, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
         Step(stage=Stage.BAKE, version=2, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,

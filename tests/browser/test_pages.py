@@ -266,7 +266,8 @@ def test_a_registered_folder_has_its_report(page, service):
     assert page.locator("#hopeless tbody tr").count() == 100
     page.check("text=By object")
     assert "scaffold_north" in page.inner_text("#hopeless")
-    assert page.get_attribute(".curve svg", "aria-label") == "Memory over budget: 45.6 kB at 20 calls, falling to none at 27 calls"
+    told = "Memory over budget: 45.6 kB at 20 calls, falling to none at 27 calls"
+    assert page.get_attribute(".curve svg", "aria-label") == told
     assert page.locator(".curve circle").count() == page.locator(".curve tbody tr").count() == 5
     assert page.locator(".curve tbody tr").nth(2).inner_text().split() == ["22", "calls", "21.5", "kB", "47", "%", "1"]
 

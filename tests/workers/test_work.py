@@ -379,7 +379,7 @@ def test_what_a_clock_may_have_stopped_is_no_other_jobs_but_a_whole_result_is_an
 
     for timed in (True, True, False, True):  # the third leaves a key, which the fourth finds
         _with(in_process, Stage.PLACEMENT, run=run, timed=lambda settings, timed=timed: timed)
-        job_id, message = in_process.submit()
+        message = in_process.submit()[1]
         in_process.run(message)
     assert len(runs) == 3
     with read(in_process.engine) as tx:

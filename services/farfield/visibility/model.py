@@ -46,7 +46,8 @@ def summary(visible: VisibleSets, *, n_objects: int) -> dict[str, Any]:
     figures = ("mode", "rule", "seen_share", "rays", "held_out", "held_out_missed", "missed_ppm_upper", "views", "p99_ppm",
                "worst_ppm")  # fmt: skip
     return {
-        **{name: getattr(visible, name) for name in figures}, "occluders": list(visible.occluders), "closed_cells": len(visible.closed),
+        **{name: getattr(visible, name) for name in figures},
+        "occluders": list(visible.occluders), "closed_cells": len(visible.closed),
         "mean_objects": round(len(visible.object) / cells, 1) if cells > 0 else float(n_objects),
     }  # fmt: skip
 
