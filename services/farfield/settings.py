@@ -168,7 +168,10 @@ def check(settings: Settings) -> None:
 
     parse_budget(s.budget)
     need(0 <= s.seed < 2**63, "seed", "must be in [0, 2**63)")
+    need(len(s.device) <= 255, "device", "must be at most 255 characters")
     if s.device_profile is not None:
+        fit = s.device_profile.fit
+        need(fit is None or 0 <= fit.samples <= 10**9, "device_profile.fit.samples", "must be in 0..10**9")
         for key in COEFFICIENTS:
             ns = getattr(s.device_profile, key)
             need(0 <= ns <= MOST_NS, f"device_profile.{key}", "must be in [0, 1e9] nanoseconds")

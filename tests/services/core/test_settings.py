@@ -47,6 +47,7 @@ def test_settings_come_back_as_they_went():
         ({"camera": 3}, "camera"),
         ({"seed": -1}, "seed"),
         ({"seed": True}, "seed"),
+        ({"device": "x" * 256}, "device"),
         ({"scene": {"up": "x"}}, "scene.up"),
         ({"view_space": {"interval_deg": 10}}, "view_space.interval_deg"),
         ({"view_space": {"boxes": []}}, "view_space.boxes"),

@@ -14,10 +14,12 @@ from farfield.rendertime.cost import build_cost_model
 from farfield.rendertime.fit import FOLDS, MIN_SAMPLES, QUANTILE, fit_profile
 from farfield.rendertime.profiles import PROFILES, find_profile
 from farfield.rendertime.samples import COLUMNS, read_samples, samples_of
-from farfield.settings import COEFFICIENTS, Settings, from_mapping, to_mapping
+from farfield.settings import COEFFICIENTS, Fit, Settings, from_mapping, to_mapping
 from naive.fit import TRUE, frames, loss
 from scipy.optimize import linprog
 from towns import town
+
+FIT = Fit.__dataclass_fields__
 
 
 def coefficients(profile):
@@ -219,6 +221,7 @@ def test_calibrate_refuses_by_name(tmp_path, capsys):
         (dict.fromkeys(COEFFICIENTS, 1) | {"per_pixel_ns": float("nan")}, "device_profile.per_pixel_ns"),
         (dict.fromkeys(COEFFICIENTS, 1) | {"per_frame_ns": 1.5}, "device_profile.per_frame_ns"),
         (dict.fromkeys(COEFFICIENTS, 1) | {"fit": {"samples": 3}}, "device_profile.fit.quantile: is missing"),
+        (dict.fromkeys(COEFFICIENTS, 1) | {"fit": dict.fromkeys(FIT, 0.5) | {"samples": 10**4000}}, "fit.samples"),
     ],
 )
 def test_a_profile_in_settings_is_checked(table, key):
