@@ -132,8 +132,14 @@ class Client:
         return self._read(self._request("POST", f"/v1/jobs/{job}/cancel"))
 
     def retry(self, job: str) -> dict[str, Any]:
-        """Let a failed or cancelled job go on from what is done."""
-        return self._read(self._request("POST", f"/v1/jobs/{job}/retry"))
+        """Let a failed or cancelled job go on from what is done; one that goes on already is left to it."""
+        try:
+            return self._read(self._request("POST", f"/v1/jobs/{job}/retry"))
+        except Refused as refused:  # perhaps the answer to the first request was lost
+            found = self.job(job) if refused.code == "JobNotStopped" else {}
+            if found.get("state") not in ("queued", "running"):
+                raise
+            return found
 
     def report(self, job: str) -> dict[str, Any]:
         """Return the report of a job that is done (docs/formats/report.md)."""

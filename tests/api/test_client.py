@@ -45,7 +45,10 @@ def test_all_pages_of_jobs_are_read(client, toy, monkeypatch):
     assert [job["id"] for job in client.jobs()] == made[::-1]
     assert client.cancel(made[0])["state"] == "cancelled"
     assert [job["id"] for job in client.jobs(state="cancelled")] == made[:1]
-    assert client.retry(made[0])["state"] == "queued"
+    assert [client.retry(made[0])["state"] for _ in range(2)] == ["queued", "queued"]
+    with pytest.raises(Refused) as refused:
+        client.retry("none")
+    assert refused.value.code == "JobNotFound"
 
 
 def test_a_refusal_keeps_the_name_that_the_service_gave(client):

@@ -30,7 +30,7 @@ from numba import njit
 from farfield.candidates.model import Candidates
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import Offers, best_antichain, subtree_end
-from farfield.placement.bound_lp import FEW_ENTRIES, dual_prices
+from farfield.placement.bound_lp import FEW_ENTRIES, MOST_ENTRIES, dual_prices
 from farfield.placement.model import Bound, Placement
 from farfield.placement.repair import offers_in_cell
 from farfield.placement.tighten import Impostors
@@ -164,9 +164,17 @@ def lower_bound_bytes(
     end                (C,) i32, see `antichain.subtree_end`
     method             "lp", "lagrangian", or "auto": see `uses_lp`
     """
-    need = np.maximum(need, 0)
+    return _prove(candidates, impostors, offers, need=need, end=end, method=method, iterations=iterations)[0]
+
+
+def _prove(
+    candidates: Candidates, impostors: Impostors, offers: Offers, *, need: np.ndarray, end: np.ndarray, method: str,
+    iterations: int | None,
+) -> tuple[int, bool]:  # fmt: skip
+    """Return the bound, and whether its prices are those of the linear programme."""
+    need, lp = np.maximum(need, 0), False
     if not len(impostors.cluster):
-        return 0
+        return 0, lp
     chosen = by_impostor(offers, len(impostors.cluster))
     n_first, first_entries = len(candidates.cluster), int(candidates.row[-1])
     cluster = np.concatenate([candidates.cluster, impostors.cluster])
@@ -178,7 +186,7 @@ def lower_bound_bytes(
         view, saved = (np.concatenate([a, b]) for a, b in zip(offered[1:], chosen[1:], strict=True))
         duals = dual_prices(row, view, saved, cluster=cluster, bytes=size, need=need, end=end)
         if duals is not None:
-            (budget, weight), iterations = duals, 1
+            (budget, weight), iterations, lp = duals, 1, True
     if iterations is None:
         iterations = ITERATIONS if len(weight) < MANY_ENTRIES else FEW_ITERATIONS
     shift = BITS - 2 - int(max(1.0, budget.sum())).bit_length()
@@ -198,7 +206,7 @@ def lower_bound_bytes(
         pull = MOMENTUM * pull + (1 - MOMENTUM) * np.maximum(1 - covered, -2.0)
         budget *= np.exp(step * pull)
         del row, id, entry, saved  # gigabytes on a whole city: gone before the next pass makes its own
-    return best
+    return best, lp
 
 
 def bound_of(
@@ -214,11 +222,10 @@ def bound_of(
         cluster=p.cluster, kind=p.kind, view_cell=p.view_cell, bytes=p.bytes, layers=p.layers, cost=p.cost
     )  # fmt: skip
     offers = offers_in_cell(p, hierarchy, views, p.cost, np.ones(len(views.cell), dtype=bool))
-    low = lower_bound_bytes(
+    low, lp = _prove(
         candidates, impostors, offers, need=views.cost - p.view_target,
-        end=subtree_end(hierarchy.start, hierarchy.stop), method=method,
+        end=subtree_end(hierarchy.start, hierarchy.stop), method=method, iterations=None,
     )  # fmt: skip
-    lp = uses_lp(method, int(candidates.row[-1]) + len(offers.id))
     return Bound(
         method="lp" if lp else "lagrangian", lower_bytes=low, placed_bytes=int(p.bytes.sum()),
         choices=len(candidates.cluster) + len(p.cluster),
@@ -226,8 +233,8 @@ def bound_of(
 
 
 def uses_lp(method: str, entries: int) -> bool:
-    """Return whether the linear programme gives the prices: asked for, or "auto" with at most FEW_ENTRIES entries."""
-    return method == "lp" or (method == "auto" and entries <= FEW_ENTRIES)
+    """Return whether to try the linear programme: "auto" with at most FEW_ENTRIES entries, "lp" with MOST_ENTRIES."""
+    return entries <= {"auto": FEW_ENTRIES, "lp": MOST_ENTRIES}.get(method, -1)
 
 
 def by_impostor(offers: Offers, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

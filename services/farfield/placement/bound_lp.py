@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.optimize import linprog
 
-FEW_ENTRIES = 20_000  # a second or two; at 300,000 HiGHS takes more than five minutes
+FEW_ENTRIES = 20_000  # a second or two
+MOST_ENTRIES = 200_000  # minutes; at 300,000 HiGHS takes more than five
 
 
 def dual_prices(

@@ -80,3 +80,9 @@ def test_what_is_proven_from_the_linear_programme_is_its_optimum_rounded_up():
         candidates, impostors, offers, need=np.array([6]), end=end, method="lp"
     )  # fmt: skip
     assert low == 6
+
+
+def test_the_linear_programme_is_for_small_problems_only():
+    assert [bound.uses_lp("auto", n) for n in (0, 20_000, 20_001)] == [True, True, False]
+    assert [bound.uses_lp("lp", n) for n in (20_001, 200_000, 200_001)] == [True, True, False]
+    assert not bound.uses_lp("lagrangian", 1)
