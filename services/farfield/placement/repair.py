@@ -80,11 +80,6 @@ def verdict(placement: Placement, model: CostModel) -> Literal["valid", "infeasi
     return "infeasible" if placement.hopeless.any() else "valid"
 
 
-def still_failing(placement: Placement) -> np.ndarray:
-    """Return the problem views that cost more than their target, ascending."""
-    return np.flatnonzero(placement.view_cost > placement.view_target)
-
-
 def offers_in_cell(
     placement: Placement, hierarchy: Hierarchy, views: ProblemViews, cost: np.ndarray, wanted: np.ndarray
 ) -> Offers:

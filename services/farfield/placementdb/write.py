@@ -21,6 +21,7 @@ from farfield.geometry.cells import CellTree
 from farfield.geometry.intervals import edges
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.model import Placement
+from farfield.placement.repair import verdict
 from farfield.placementdb import layout
 from farfield.placementdb.chunks import Chunk, build_chunks, spans
 from farfield.placementdb.layers import Pieces, cut_layers, tile_texels
@@ -31,14 +32,6 @@ from farfield.scene.model import Scene
 from farfield.settings import Settings, to_mapping
 from farfield.viewspace.model import ProblemViews
 from farfield.visibility.model import VisibleSets
-
-
-def verdict_of(model: CostModel, placement: Placement) -> str:
-    """Return `valid` (every problem view meets the target), `infeasible` (only hopeless ones do not), or `unproven`."""
-    over = placement.view_cost > model.target
-    if (over & ~placement.hopeless).any():
-        return "unproven"
-    return "infeasible" if placement.hopeless.any() else "valid"
 
 
 def build_files(
@@ -198,7 +191,7 @@ def _manifest(
         "interval_edges": edges(round(90 / settings.view_space.interval_deg)).tolist(),
         "bounds": (np.stack([low.min(0), high.max(0)]) + origin).tolist() if scene.n_objects else None,
         "bytes": int(placement.bytes.sum()), "worst_nonproblem": int(views.worst_nonproblem),
-        "visibility": visible.mode, "verdict": verdict_of(model, placement),
+        "visibility": visible.mode, "verdict": verdict(placement, model),
         "page": {
             "size": layout.PAGE_TEXELS, "width": layout.PAGE_WIDTH, "height": layout.PAGE_HEIGHT,
             "levels": [{"x": x, "y": y, "size": size} for x, y, size in layout.LEVELS],

@@ -161,29 +161,3 @@ def cluster_cost(views, v, a, b):
 def cluster_costs(views, v, a, b, out):
     for k in range(len(out)):
         out[k] = cluster_cost(views, v[k], a[k], b[k])
-
-
-@njit(cache=True)
-def running_costs(views, v, low, high, out):
-    """Fill out (high - low + 1,): the cost of view v's objects in [low, o) for each o in [low, high]."""
-    list_id = views.list[v]
-    begin, end = views.list_row[list_id], views.list_row[list_id + 1]
-    first = first_at_least(views.list_object, begin, end, low) - begin
-    last = first_at_least(views.list_object, begin + first, end, high) - begin
-    r, stop = views.row[v], views.row[v + 1]
-    while r < stop:  # the first run that ends past `first`
-        middle = (r + stop) // 2
-        if views.run[middle, 1] <= first:
-            r = middle + 1
-        else:
-            stop = middle
-    total = np.int64(0)
-    o = low
-    while r < views.row[v + 1] and views.run[r, 0] < last:
-        for p in range(max(first, views.run[r, 0]), min(last, views.run[r, 1])):
-            object = views.list_object[begin + p]
-            out[o - low : object - low + 1] = total
-            o = object + 1
-            total += views.list_through[begin + p] - (views.list_through[begin + p - 1] if p > 0 else np.int64(0))
-        r += 1
-    out[o - low : high - low + 1] = total

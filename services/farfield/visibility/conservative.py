@@ -2,7 +2,8 @@
 
 Problem  Given the pairs (cell, object) that a ray has seen, which of the others can be proved hidden: every segment from
          any point of the cell to any point of the object meets a triangle that is drawn there? What is not proved is
-         kept. Errs by keeping; never drops a visible object.
+         kept. Errs by keeping; never drops a visible object of the level as it is. Where what hides it is drawn as a
+         coarser level of detail or as an impostor, an object just behind its edge can show by up to the pixel error.
 Columns  A bundle of segments from box P to box Q at time t fills the box (1 - t) P + t Q. If that lies in opaque columns
          (`columns.py`), each segment has a point m inside a solid S or under the ground: occluders are fused, and no
          slit is stepped over, however thin. One good t is enough; the line between the middles is walked for it.

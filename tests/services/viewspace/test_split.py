@@ -11,8 +11,7 @@ from farfield.geometry.intervals import find_interval
 from farfield.hierarchy.build import build_hierarchy
 from farfield.rendertime.cost import build_cost_model, object_cost
 from farfield.settings import CameraSettings, Settings, ViewSpaceSettings
-from farfield.viewspace import kernels
-from farfield.viewspace.cost import cluster_cost, cluster_costs, runs_of, view_objects
+from farfield.viewspace.cost import cluster_cost, cluster_costs, view_objects
 from farfield.viewspace.split import find_problem_views, merge_problem_views, plan_subtrees, summary
 from farfield.visibility.model import VisibleSets
 from naive import rendertime as naive_pixels
@@ -185,17 +184,6 @@ def test_cluster_costs_are_sums():
     assert cluster_costs(views, v, a, b).tolist() == expected
     assert [cluster_cost(views, int(k), int(i), int(j)) for k, i, j in zip(v, a, b)] == expected
     assert cluster_costs(views, v, 0, 120).tolist() == views.cost[v].tolist()
-
-
-def test_running_costs_are_the_costs_of_clusters():
-    scene = town(120, view_m=40)
-    _, views = found(scene, settings_for("1.4 ms"))
-    runs, out = runs_of(views), np.empty(121, dtype=np.int64)
-    for v in range(0, len(views.cell), 7):
-        for low, high in ((0, 120), (17, 93), (50, 51)):
-            kernels.running_costs(runs, v, low, high, out)
-            ends = np.arange(low, high + 1)
-            assert out[: high - low + 1].tolist() == cluster_costs(views, v, low, ends).tolist()
 
 
 def test_a_node_costs_what_its_cells_see_together():
