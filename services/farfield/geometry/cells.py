@@ -67,6 +67,13 @@ def cells_about(boxes: np.ndarray, cell_m: float) -> float:
     return float(np.maximum(size, 1.0).prod(1).sum())
 
 
+def subtrees(cells: CellTree, *, most: int) -> list[int]:
+    """Return the nodes of the largest subtrees of at most `most` >= 1 leaf cells, in preorder: together they hold all."""
+    small = cells.stop - cells.start <= most
+    top = small & ((cells.parent < 0) | ~small[np.maximum(cells.parent, 0)])
+    return [int(node) for node in np.flatnonzero(top)]
+
+
 def build_cells(boxes: np.ndarray, cell_m: float) -> CellTree:
     """Return the tree over `boxes` (B,2,3) f64, relative to the scene's origin; cell_m > 0 metres.
 

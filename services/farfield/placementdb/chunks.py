@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from farfield.bake.model import BakedLayers
-from farfield.geometry.cells import CellTree
+from farfield.geometry.cells import CellTree, subtrees
 from farfield.placement.model import Placement
 from farfield.placementdb.layers import Pieces
 from farfield.placementdb.layout import CHUNK, cast
@@ -29,13 +29,6 @@ class Chunk:
     columns: dict[str, np.ndarray]
 
 
-def chunk_nodes(cells: CellTree, most: int = CELLS) -> list[int]:
-    """Return the nodes of the largest subtrees of at most `most` leaf cells, in order of their cells."""
-    small = cells.stop - cells.start <= most
-    top = small & ((cells.parent < 0) | ~small[np.maximum(cells.parent, 0)])
-    return [int(node) for node in np.flatnonzero(top)]
-
-
 def build_chunks(
     cells: CellTree, visible: VisibleSets, views: ProblemViews, placement: Placement, baked: BakedLayers,
     pieces: Pieces, *, block_page: np.ndarray, block_at: np.ndarray,
@@ -46,7 +39,7 @@ def build_chunks(
     """
     sees_all = visible.row.size == 0
     out = []
-    for node in chunk_nodes(cells):
+    for node in subtrees(cells, most=CELLS):
         a, b = int(cells.start[node]), int(cells.stop[node])
         va, vb = (int(v) for v in np.searchsorted(views.cell, [a, b]))
         if va == vb and sees_all:

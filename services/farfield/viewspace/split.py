@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from farfield.geometry.camera import Camera
-from farfield.geometry.cells import CellTree, build_cells
+from farfield.geometry.cells import CellTree, build_cells, subtrees
 from farfield.geometry.frusta import enclosing_frusta
 from farfield.hierarchy.model import Hierarchy
 from farfield.rendertime.cost import least_cost, object_cost
@@ -41,15 +41,7 @@ CELLS_A_SHARD = (8, 64)  # ... these: starting one costs a second, and its entri
 def plan_subtrees(cells: CellTree) -> list[int]:
     """Return the nodes whose subtrees are the shards, in preorder: together they hold every leaf cell once."""
     low, high = CELLS_A_SHARD
-    most = min(high, max(low, math.ceil(cells.n_cells / SHARDS)))
-    chosen, stack = [], [0]
-    while stack:
-        node = stack.pop()
-        if cells.stop[node] - cells.start[node] <= most:
-            chosen.append(node)
-        else:
-            stack += [int(cells.high[node]), int(cells.low[node])]
-    return chosen
+    return subtrees(cells, most=min(high, max(low, math.ceil(cells.n_cells / SHARDS))))
 
 
 def find_problem_views(

@@ -25,7 +25,7 @@ import math
 
 import numpy as np
 
-from farfield.geometry.cells import CellTree
+from farfield.geometry.cells import CellTree, subtrees
 from farfield.scene.model import Scene
 from farfield.settings import Settings
 from farfield.visibility import kernels
@@ -49,15 +49,7 @@ _HALF_TAN, _PITCH = math.tan(math.radians(22.5)), 0.5
 def plan_shards(cells: CellTree) -> list[int]:
     """Return the nodes whose subtrees are the shards, in preorder: together they hold every leaf cell once."""
     low, high = CELLS_A_SHARD
-    most = min(high, max(low, math.ceil(cells.n_cells / SHARDS)))
-    chosen, stack = [], [0]
-    while stack:
-        node = stack.pop()
-        if cells.stop[node] - cells.start[node] <= most:
-            chosen.append(node)
-        else:
-            stack += [int(cells.high[node]), int(cells.low[node])]
-    return chosen
+    return subtrees(cells, most=min(high, max(low, math.ceil(cells.n_cells / SHARDS))))
 
 
 def sample_cells(scene: Scene, cells: CellTree, node: int, *, rays: int, seed: int) -> np.ndarray:
