@@ -11,11 +11,15 @@
     ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
     ├── DirectionInvalid      a view direction of length 0, or not finite            exit 2, HTTP 422
     ├── StoreError            a row or blob of the service
-    │   ├── SceneNotFound, JobNotFound, PlacementNotFound, DeviceNotFound        exit 3, HTTP 404
+    │   ├── SceneNotFound, JobNotFound, PlacementNotFound, DeviceNotFound,
+    │   │   UploadNotFound                                                    exit 3, HTTP 404
+    │   ├── UploadsTooMany                                                    exit 3, HTTP 429
     │   ├── JobNotFinished, JobStillRunning, JobNotStopped, IdempotencyConflict,
     │   │   DeviceExists                                                      exit 3, HTTP 409
     │   └── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
+    │       └── ArtifactDamaged   its bytes are not what its name says
     ├── ServiceError          the service cannot start, or does not answer       exit 3
+    │   └── StoreUnavailable  the artifact store does not answer                 exit 3, HTTP 503
     ├── FailedElsewhere       a named error of another process, passed on
     └── StageFailed           a shard failed for good                                exit 1, HTTP 500
 
@@ -211,6 +215,20 @@ class SceneNotFound(StoreError):
         self.digest = digest
 
 
+class UploadNotFound(StoreError):
+    advice = "It was finished, ended or has expired: start another one with POST /v1/uploads."
+
+    def __init__(self, upload: str) -> None:
+        super().__init__(f"there is no upload {upload[:64]}")
+
+
+class UploadsTooMany(StoreError):
+    advice = "Finish or DELETE some of those that GET /v1/uploads lists."
+
+    def __init__(self, most: int) -> None:
+        super().__init__(f"at most {most} uploads may be open at a time")
+
+
 class JobNotFound(StoreError):
     advice = "List the jobs with GET /v1/jobs."
 
@@ -289,8 +307,22 @@ class ArtifactMissing(StoreError):
         self.digest = digest
 
 
+class ArtifactDamaged(ArtifactMissing):
+    """A blob is not what its name says: a disk or a hand has altered it. Whoever removes it can have it computed again."""
+
+    def __init__(self, digest: str) -> None:
+        StoreError.__init__(self, f"artifact {digest[:64]} is damaged: its bytes do not have this SHA-256")
+        self.digest = digest
+
+
 class ServiceError(FarfieldError):
     """The service cannot start, or does not answer."""
+
+
+class StoreUnavailable(ServiceError):
+    """The artifact store does not answer, or cannot be written. Nothing is wrong with the job: it waits."""
+
+    advice = "See /readyz, and the store's own log."
 
 
 class StageFailed(FarfieldError):
