@@ -11,6 +11,8 @@ State    job    queued -> running -> done | failed | cancelled
 
 import sqlalchemy as sa
 
+from farfield.store.engine import now
+
 metadata = sa.MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -26,6 +28,8 @@ STAGE_STATES = ("waiting", "planning", "running", "merging", "reporting", "done"
 SHARD_STATES = ("ready", "running", "done", "failed", "cancelled")
 SHARD_KINDS = ("plan", "run", "merge", "report")
 SCOPES = ("read", "submit", "admin")
+WEBHOOK_EVENTS = ("queued", "done", "failed", "cancelled")
+DELIVERY_STATES = ("pending", "delivered", "failed")
 
 _ID = sa.String(32)
 _DIGEST = sa.String(64)
@@ -53,6 +57,10 @@ tenant = sa.Table(
     metadata,
     _id_column(),
     sa.Column("name", sa.String(100), nullable=False, unique=True),
+    sa.Column("is_operator", sa.Boolean, nullable=False, server_default=sa.false()),  # its admins may act in all others
+    sa.Column("max_bytes", sa.BigInteger, nullable=True),  # quotas; null: the default of the service
+    sa.Column("max_jobs", sa.Integer, nullable=True),
+    sa.Column("max_running", sa.Integer, nullable=True),
     _at("created_at", nullable=False),
 )
 
@@ -65,6 +73,8 @@ api_key = sa.Table(
     sa.Column("secret_digest", _DIGEST, nullable=False),  # SHA-256 of 32 random bytes in base64url
     sa.Column("scopes", sa.String(100), nullable=False),  # words of SCOPES, separated by a space
     _at("created_at", nullable=False),
+    _at("expires_at"),
+    _at("last_used_at"),  # to about half a minute
     _at("revoked_at"),
 )
 
@@ -85,6 +95,36 @@ artifact = sa.Table(
     sa.Column("digest", _DIGEST, primary_key=True),
     sa.Column("n_bytes", sa.BigInteger, nullable=False),
     _at("created_at", nullable=False),
+    _at("marked_at"),  # when nothing was found to refer to it; null: in use, or new. See store.collect
+    sa.Index(None, "marked_at"),
+)
+
+worker = sa.Table(  # who computes, told by itself; a row is a fact about now, and no shard depends on it
+    "worker",
+    metadata,
+    sa.Column("name", sa.String(100), primary_key=True),
+    sa.Column("host", sa.String(255), nullable=False),
+    sa.Column("queues", sa.String(200), nullable=False),  # separated by a comma
+    sa.Column("capability", sa.JSON, nullable=False),  # cores, memory_bytes, version, renderer
+    _at("started_at", nullable=False),
+    _at("heartbeat_at", nullable=False),
+    _at("stopped_at"),  # it said that it ends
+    sa.Column("shard_id", _ID, nullable=True),  # what it computes now
+    sa.Column("stage", sa.String(40), nullable=True),
+    _at("shard_since"),
+    sa.Column("done", sa.BigInteger, nullable=False),  # shards since its start
+    sa.Column("failed", sa.BigInteger, nullable=False),
+    sa.Column("busy_seconds", sa.Double, nullable=False),
+    sa.Column("recent", sa.Integer, nullable=False),  # shards done in the last five minutes
+    sa.Index(None, "heartbeat_at"),
+)
+
+counter = sa.Table(  # what only grows, added up over all processes: the metrics that outlive them
+    "counter",
+    metadata,
+    sa.Column("name", sa.String(60), primary_key=True),
+    sa.Column("labels", sa.String(200), primary_key=True),  # "stage=bake,le=1"
+    sa.Column("value", sa.Double, nullable=False),
 )
 
 
@@ -102,8 +142,26 @@ scene = sa.Table(
     sa.Column("n_bytes", sa.BigInteger, nullable=False),
     sa.Column("summary", sa.JSON, nullable=False),  # of `farfield inspect`, without the list of objects
     _artifact("inspect_digest", nullable=False),  # all of it
+    _artifact("picture_digest"),  # PNG from above
     _at("created_at", nullable=False),
     sa.PrimaryKeyConstraint("tenant_id", "digest"),
+)
+
+upload = sa.Table(  # a file on its way in; its bytes lie in a file named by the id
+    "upload",
+    metadata,
+    _id_column(),
+    _of("tenant"),
+    sa.Column("name", sa.String(255), nullable=False),
+    sa.Column("n_bytes", sa.BigInteger, nullable=False),
+    sa.Column("digest", _DIGEST, nullable=True),  # SHA-256 that it shall have
+    sa.Column("received", sa.BigInteger, nullable=False),  # bytes that are synced
+    sa.Column("scene_digest", _DIGEST, nullable=True),  # the scene that it became
+    sa.Column("refusal", sa.JSON(none_as_null=True), nullable=True),  # status, code, detail, advice
+    _at("created_at", nullable=False),
+    _at("expires_at", nullable=False),
+    sa.Index(None, "tenant_id", "digest"),
+    sa.Index(None, "expires_at"),
 )
 
 device_profile = sa.Table(
@@ -127,8 +185,11 @@ device_sample = sa.Table(  # one row a request: a batch of measured frames
     _of("device_profile"),
     sa.Column("first", sa.Integer, nullable=False),  # number of its first frame
     sa.Column("frames", sa.JSON, nullable=False),  # rows of rendertime.samples.COLUMNS and ms
+    sa.Column("idempotency_key", sa.String(255), nullable=True),
+    sa.Column("request_digest", _DIGEST, nullable=True),  # of the frames, where there is a key
     _at("created_at", nullable=False),
     sa.PrimaryKeyConstraint("device_profile_id", "first"),
+    sa.UniqueConstraint("device_profile_id", "idempotency_key"),
 )
 
 webhook = sa.Table(
@@ -137,8 +198,50 @@ webhook = sa.Table(
     _id_column(),
     _of("tenant"),
     sa.Column("url", sa.String(2000), nullable=False),
-    sa.Column("secret", sa.String(100), nullable=False),
+    sa.Column("secret", sa.String(100), nullable=False),  # signs; as it is, because it must be used
+    sa.Column("old_secret", sa.String(100), nullable=True),  # signs too, until old_until
+    _at("old_until"),
+    sa.Column("events", sa.String(100), nullable=False, server_default="done failed cancelled"),  # of WEBHOOK_EVENTS
+    sa.Column("every_job", sa.Boolean, nullable=False, server_default=sa.false()),  # false: jobs that name it only
+    sa.Column("active", sa.Boolean, nullable=False, server_default=sa.true()),
     _at("created_at", nullable=False),
+)
+
+webhook_delivery = sa.Table(  # written with the event it tells of; it outlives the job
+    "webhook_delivery",
+    metadata,
+    _id_column(),
+    _of("tenant"),
+    _of("webhook"),
+    sa.Column("job_id", _ID, nullable=True),  # null: a test
+    sa.Column("seq", sa.BigInteger, nullable=True),  # number of the event in its job
+    sa.Column("event", sa.String(40), nullable=False),
+    sa.Column("body", sa.Text, nullable=False),  # the bytes that are signed and sent, at every attempt the same
+    sa.Column("state", sa.String(10), nullable=False),
+    sa.Column("attempt", sa.Integer, nullable=False),
+    sa.Column("status", sa.Integer, nullable=True),  # the receiver's last answer
+    sa.Column("error", sa.String(200), nullable=True),  # why there was none
+    _at("next_at"),  # when to try (again); while it is being tried, when to take the sender for dead
+    _at("created_at", nullable=False),
+    _at("ended_at"),
+    sa.Index(None, "state", "next_at"),
+    sa.Index(None, "webhook_id", "created_at", "id"),
+    _one_of("state", DELIVERY_STATES),
+)
+
+audit = sa.Table(  # append-only: triggers refuse to change or delete a row; so it has no foreign keys either
+    "audit",
+    metadata,
+    sa.Column("id", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True, autoincrement=True),
+    sa.Column("tenant_id", _ID, nullable=False),  # in which it was done
+    sa.Column("key_id", _ID, nullable=True),  # null: the operator, at the machine
+    sa.Column("key_name", sa.String(100), nullable=False),
+    sa.Column("address", sa.String(100), nullable=False),
+    sa.Column("action", sa.String(200), nullable=False),  # "POST /v1/jobs/{job_id}/cancel"
+    sa.Column("target", sa.String(500), nullable=False),  # the address, or that of what was made
+    sa.Column("status", sa.Integer, nullable=False),
+    _at("created_at", nullable=False),
+    sa.Index(None, "tenant_id", "id"),
 )
 
 job = sa.Table(
@@ -188,6 +291,7 @@ stage = sa.Table(
     _at("finished_at"),
     sa.UniqueConstraint("job_id", "ordinal"),
     sa.UniqueConstraint("job_id", "name"),
+    sa.Index(None, "artifact_digest"),
     _one_of("state", STAGE_STATES),
 )
 
@@ -207,6 +311,7 @@ shard = sa.Table(
     sa.Column("attempt", sa.Integer, nullable=False),
     _at("lease_until"),
     _at("sent_at"),  # when its message was last sent; null: not yet
+    sa.Column("ready_at", sa.Double, default=now(), nullable=True),  # since when it could run
     sa.Column("worker", sa.String(100), nullable=True),
     _artifact("artifact_digest"),
     sa.Column("cached", sa.Boolean, nullable=False),  # its key was known: taken over, not computed
@@ -218,6 +323,7 @@ shard = sa.Table(
     sa.Index(None, "key"),
     sa.Index(None, "job_id", "state"),
     sa.Index(None, "state", "lease_until"),
+    sa.Index(None, "artifact_digest"),
     _one_of("state", SHARD_STATES),
     _one_of("kind", SHARD_KINDS),
 )
