@@ -157,7 +157,7 @@ def fail(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str, 
         lock_job(tx, held.job_id)
         updated = tx.execute(
             sa.update(shard).where(_ours(held))
-            .values(state=state, lease_until=None, sent_at=None, error=dict(error), log=log[-20_000:])
+            .values(state=state, lease_until=None, sent_at=None, ready_at=now(), error=dict(error), log=log[-20_000:])
         ).rowcount  # fmt: skip
         if not updated:
             return "lost"
@@ -174,10 +174,11 @@ def lock_job(tx: sa.Connection, job_id: str | None) -> None:
 
 
 def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
-    """Make sure that the blob has its row."""
+    """Make sure that the blob has its row, and hold the row: who would collect it waits until we have committed."""
     insert = sqlite.insert if tx.dialect.name == "sqlite" else postgresql.insert
     values = {"digest": digest, "n_bytes": n_bytes, "created_at": now()}
-    tx.execute(insert(artifact).values(values).on_conflict_do_nothing())
+    kept = {"marked_at": None}
+    tx.execute(insert(artifact).values(values).on_conflict_do_update(index_elements=[artifact.c.digest], set_=kept))
 
 
 def _claimable() -> sa.ColumnElement[bool]:
