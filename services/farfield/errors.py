@@ -10,14 +10,22 @@
     │   └── SamplesInvalid, SamplesTooFew, SamplesDegenerate, DeviceNotCalibrated
     ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
     ├── DirectionInvalid      a view direction of length 0, or not finite            exit 2, HTTP 422
+    ├── ExportError           what is asked for cannot be exported                   exit 3, HTTP 422
+    │   └── NothingToExport, ExportTooLarge
     ├── StoreError            a row or blob of the service
     │   ├── SceneNotFound, JobNotFound, PlacementNotFound, DeviceNotFound,
     │   │   UploadNotFound                                                    exit 3, HTTP 404
     │   ├── UploadsTooMany                                                    exit 3, HTTP 429
+    │   ├── TenantNotFound, KeyNotFound, WebhookNotFound, DeliveryNotFound       exit 3, HTTP 404
     │   ├── JobNotFinished, JobStillRunning, JobNotStopped, IdempotencyConflict,
+    │   │   SceneInUse, TenantExists,
     │   │   DeviceExists                                                      exit 3, HTTP 409
     │   └── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
     │       └── ArtifactDamaged   its bytes are not what its name says
+    ├── QuotaExceeded         the tenant has as much as it may have              exit 3, HTTP 403
+    │   └── RunningQuotaExceeded  as many jobs run as may at a time                      HTTP 429
+    ├── WebhookError          an address that no webhook may have, or a forged delivery  exit 3, HTTP 422
+    │   └── WebhookAddressRefused, SignatureInvalid
     ├── ServiceError          the service cannot start, or does not answer       exit 3
     │   └── StoreUnavailable  the artifact store does not answer                 exit 3, HTTP 503
     ├── FailedElsewhere       a named error of another process, passed on
@@ -203,6 +211,28 @@ class DirectionInvalid(FarfieldError):
     advice = "Give a direction of any length but 0."
 
 
+class ExportError(FarfieldError):
+    """What is asked for cannot be exported."""
+
+
+class NothingToExport(ExportError):
+    """No impostor is shown there."""
+
+    advice = "Views within the budget show geometry alone; export another cell or view, or all."
+
+    def __init__(self, where: str) -> None:
+        super().__init__(f"no impostor is shown in {where}")
+
+
+class ExportTooLarge(ExportError):
+    """A GLB states its length in 32 bits."""
+
+    advice = "Export as .gltf, or one cell at a time with --cell."
+
+    def __init__(self, name: str, size: int) -> None:
+        super().__init__(f"{name} would have {size} bytes, and a GLB cannot exceed 4 GiB")
+
+
 class StoreError(FarfieldError):
     """A row or blob of the service."""
 
@@ -289,6 +319,48 @@ class DeviceExists(StoreError):
         self.name = name
 
 
+class TenantNotFound(StoreError):
+    advice = "List the tenants with GET /v1/tenants."
+
+    def __init__(self, tenant: str) -> None:
+        super().__init__(f"there is no tenant {tenant:.64}")
+
+
+class TenantExists(StoreError):
+    advice = "Choose another name."
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"there is a tenant {name!r} already")
+
+
+class KeyNotFound(StoreError):
+    advice = "List the keys with GET /v1/keys."
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"there is no valid key {key:.64}")
+
+
+class WebhookNotFound(StoreError):
+    advice = "List the webhooks with GET /v1/webhooks."
+
+    def __init__(self, webhook: str) -> None:
+        super().__init__(f"there is no webhook {webhook:.64}")
+
+
+class DeliveryNotFound(StoreError):
+    advice = "List the deliveries with GET /v1/webhooks/{id}/deliveries."
+
+    def __init__(self, delivery: str) -> None:
+        super().__init__(f"there is no delivery {delivery:.64} of this webhook")
+
+
+class SceneInUse(StoreError):
+    advice = "Delete its jobs first: GET /v1/jobs?scene=DIGEST lists them."
+
+    def __init__(self, digest: str, n_jobs: int) -> None:
+        super().__init__(f"{n_jobs} jobs need the scene {digest}")
+
+
 class IdempotencyConflict(StoreError):
     advice = "Use a new Idempotency-Key for a new request."
 
@@ -313,6 +385,33 @@ class ArtifactDamaged(ArtifactMissing):
     def __init__(self, digest: str) -> None:
         StoreError.__init__(self, f"artifact {digest[:64]} is damaged: its bytes do not have this SHA-256")
         self.digest = digest
+
+
+class QuotaExceeded(FarfieldError):
+    """The tenant has as much as it may have."""
+
+    advice = "Delete jobs or scenes (GET /v1/usage says what there is), or ask the operator for a larger quota."
+
+    def __init__(self, what: str, used: int, limit: int) -> None:
+        super().__init__(f"{used} of {limit} {what} are used")
+
+
+class RunningQuotaExceeded(QuotaExceeded):
+    """As many jobs run as may at a time."""
+
+    advice = "Wait for one to end, or cancel one, then ask again."
+
+
+class WebhookError(FarfieldError):
+    """An address that no webhook may have, or a delivery that is none of ours."""
+
+
+class WebhookAddressRefused(WebhookError):
+    advice = "Give an https address of a public host; the operator may allow more with FARFIELD_WEBHOOK_NETWORKS."
+
+
+class SignatureInvalid(WebhookError):
+    advice = "Check the secret and the receiver's clock, and verify the body's bytes as they came."
 
 
 class ServiceError(FarfieldError):

@@ -19,6 +19,7 @@ VERBS = (
     "calibrate",
     "verify",
     "report",
+    "export",
     "serve",
     "submit",
     "jobs",
