@@ -57,6 +57,8 @@ def scene(meshes, *, view, cell_m, double_sided=True, matrix=None, alpha=None, s
         object_calls=np.ones(n, np.int64), object_bytes=36 * np.diff(vertex) + 12 * counts,
         object_replaceable=np.ones(n, bool), object_name=tuple(f"object {i}" for i in range(n)),
         material_base_color=np.ones((n, 4), np.float32), material_emissive=np.zeros((n, 3), np.float32),
+        emissive_uv=np.zeros((0, 2), np.float32), object_look=np.zeros(n, np.uint8), material_unlit=np.zeros(n, bool),
+        material_emissive_texture=np.full(n, -1, np.int32), texture_smooth=np.zeros(0, bool),
         material_alpha_mode=modes, material_alpha_cutoff=np.full(n, 0.5, np.float32),
         material_double_sided=np.full(n, double_sided) if np.isscalar(double_sided) else np.array(double_sided),
         material_texture=np.full(n, -1, np.int32), material_name=tuple(f"m{i}" for i in range(n)),

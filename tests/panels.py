@@ -64,6 +64,9 @@ def panel_scene(
         in range(k)), texture_byte=np.concatenate([[0], np.cumsum([len(f) for f in files])]).astype(np.int64),
         texture_data=np.concatenate(files) if files else np.zeros(0, np.uint8),
         texture_wrap=np.full((len(files), 2), 10497, np.int32), texture_linear=np.full(len(files), linear),
+        texture_smooth=np.full(len(files), linear), emissive_uv=np.zeros((0, 2), np.float32),
+        object_look=np.zeros(n, np.uint8), material_unlit=np.zeros(k, bool),
+        material_emissive_texture=np.full(k, -1, np.int32),
         dropped_triangles=0, warnings=(),
     )  # fmt: skip
 

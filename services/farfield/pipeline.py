@@ -466,8 +466,8 @@ _CHOOSING = tuple(f"placement.{f.name}" for f in fields(PlacementSettings) if f.
 STEPS: dict[Stage, Step] = {
     step.stage: step
     for step in (
-        Step(stage=Stage.SCENE, version=3, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
-             reads=("scene", "view_space.boxes", "view_space.cell_m")),
+        Step(stage=Stage.SCENE, version=4, queue=Queue.CPU, inputs=(), plan=_one, run=_scene,
+             reads=("scene", "view_space.boxes", "view_space.cell_m", "bake.flatten")),
         Step(stage=Stage.HIERARCHY, version=1, queue=Queue.CPU, inputs=(_S,), plan=_one, run=_hierarchy, reads=()),
         Step(stage=Stage.DETAIL, version=1, queue=Queue.CPU, inputs=(_S,), skip=_detail_skip, plan=_detail_plan,
              run=_detail, merge=_detail_merge, reads=("detail", _CAMERA, _QUALITY),
@@ -485,7 +485,7 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.PLACEMENT, version=7, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
-        Step(stage=Stage.BAKE, version=2, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
+        Step(stage=Stage.BAKE, version=3, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge, reads=(_CAMERA, _QUALITY)),
         Step(stage=Stage.REPAIR, version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),

@@ -74,6 +74,12 @@ class PlacementSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BakeSettings:
+    flatten: Literal["none", "shine", "all"] = "shine"  # what is baked although no picture can hold it; else geometry
+    page_format: Literal["webp", "png", "ktx2"] = "webp"  # of atlas pages, all lossless
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """How a fitted device profile lies over its samples: predicted - measured, milliseconds."""
 
@@ -117,6 +123,7 @@ class Settings:
     detail: DetailSettings = field(default_factory=DetailSettings)
     visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
     placement: PlacementSettings = field(default_factory=PlacementSettings)
+    bake: BakeSettings = field(default_factory=BakeSettings)
 
 
 Unit = Literal["ns", "calls", "triangles"]

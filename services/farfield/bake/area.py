@@ -121,7 +121,8 @@ def _sample(sources: Any, pieces: Any, slabs: Any, surface: Any, first: int, las
                         while not left >> c & 1:
                             c += 1
                         s = pieces.source[here[c]]
-                        textured = surface.texture[sources.material[s]] >= 0
+                        material = sources.material[s]
+                        textured = surface.texture[material] >= 0 or surface.emissive_texture[material] >= 0
                         many, px, py = 0, 0, 0
                         for d in range(c, POINTS):
                             if not left >> d & 1 or pieces.source[here[d]] != s:

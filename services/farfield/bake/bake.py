@@ -232,11 +232,12 @@ def _surface(scene: Scene, objects: tuple[int, int], pyramids: Pyramids) -> Surf
     determinant = (a * cofactor[:, :, 0]).sum(-1)
     masked = scene.material_alpha_mode == MASK
     return Surface(
-        uv=scene.uv, color=scene.color, normal=scene.normal,
+        uv=scene.uv, emissive_uv=scene.emissive_uv if len(scene.emissive_uv) else scene.uv, color=scene.color,
+        normal=scene.normal, unlit=scene.material_unlit, emissive_texture=scene.material_emissive_texture,
         turn=np.ascontiguousarray(cofactor * np.where(determinant < 0, -1.0, 1.0)[:, None, None]),
         base_color=scene.material_base_color, emissive=scene.material_emissive, masked=masked,
         double_sided=scene.material_double_sided.astype(np.bool_),
         cutoff=scene.material_alpha_cutoff, texture=scene.material_texture, level_row=pyramids.level_row,
         level_size=pyramids.level_size, level_byte=pyramids.level_byte, texel=pyramids.texel, wrap=scene.texture_wrap,
-        linear=scene.texture_linear, decode=DECODE, encode=ENCODE, lights=LIGHTS,
+        linear=scene.texture_linear, smooth=scene.texture_smooth, decode=DECODE, encode=ENCODE, lights=LIGHTS,
     )  # fmt: skip

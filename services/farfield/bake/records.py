@@ -47,21 +47,25 @@ class Surface(NamedTuple):
     """What colours are made from: columns of the scene, decoded textures, the lighting."""
 
     uv: np.ndarray  # (Y,2) f32
+    emissive_uv: np.ndarray  # (Y,2) f32
     color: np.ndarray  # (Y,4) f32  linear
     normal: np.ndarray  # (Y,3) f32
     turn: np.ndarray  # (n,3,3) f64  normals of each object of the cluster to the world
     base_color: np.ndarray  # (K,4) f32
     emissive: np.ndarray  # (K,3) f32
+    unlit: np.ndarray  # (K,) b1
     masked: np.ndarray  # (K,) b1
     double_sided: np.ndarray  # (K,) b1
     cutoff: np.ndarray  # (K,) f32
     texture: np.ndarray  # (K,) i32  -1 none
+    emissive_texture: np.ndarray  # (K,) i32  -1 none
     level_row: np.ndarray  # (X+1,) i64  mip levels of texture x are [level_row[x], level_row[x+1]), none if not decoded
     level_size: np.ndarray  # (M,2) i32  width, height
     level_byte: np.ndarray  # (M,) i64  start in `texel`
     texel: np.ndarray  # (D,) u1  RGBA, sRGB colours, rows from v = 0 down
     wrap: np.ndarray  # (X,2) i32  glTF wrap modes
-    linear: np.ndarray  # (X,) b1
+    linear: np.ndarray  # (X,) b1  magnified linearly
+    smooth: np.ndarray  # (X,) b1  minified linearly, between levels too
     decode: np.ndarray  # (256,) f64  sRGB byte -> linear
     encode: np.ndarray  # (255,) f64  linear thresholds between sRGB bytes
     lights: np.ndarray  # (4,3) f64  sun direction, sun, sky, ground

@@ -6,7 +6,8 @@ Method   The point of the snapped triangle closest to the texel's centre (in the
          inside from the edge functions, outside along the nearest edge. Never an extrapolation. Weights divided by z
          and normalised are those of the surface (perspective). The point does not depend on the slab.
          Textures: trilinear from the level whose texels are as large as the footprint in the longer direction, as a GPU
-         without anisotropic filtering does; the footprint is never taken for larger than the triangle.
+         without anisotropic filtering does; the footprint is never taken for larger than the triangle. A sampler that
+         magnifies or minifies by the nearest texel does so here.
 """
 
 import math
@@ -91,11 +92,11 @@ def _wrap(i: int, n: int, mode: int) -> int:
 
 
 @njit(cache=True)
-def _level(surface: Any, x: int, level: int, u: float, v: float, share: float, out: Any) -> None:
+def _level(surface: Any, x: int, level: int, u: float, v: float, share: float, mixed: bool, out: Any) -> None:
     w, h = surface.level_size[level, 0], surface.level_size[level, 1]
     start = surface.level_byte[level]
     wrap_s, wrap_t = surface.wrap[x, 0], surface.wrap[x, 1]
-    if surface.linear[x]:
+    if mixed:
         fx, fy = u * w - 0.5, v * h - 0.5
         ix, iy = math.floor(fx), math.floor(fy)
         fx, fy = fx - ix, fy - iy
@@ -117,14 +118,15 @@ def texture_at(surface: Any, x: int, u: float, v: float, spans: float, out: Any)
     out[:] = 0.0
     last = surface.level_row[x + 1] - 1
     level = surface.level_row[x]
+    mixed = surface.smooth[x] if spans > 1 else surface.linear[x]
+    if not mixed:
+        spans *= math.sqrt(2.0)  # the level whose texels are nearest in size, not the finer one
     while spans >= 2 and level < last:
         spans, level = spans / 2, level + 1
-    share = math.log2(spans) if spans > 1 and level < last else 0.0
-    if not surface.linear[x]:
-        share = 0.0
-    _level(surface, x, level, u, v, 1 - share, out)
+    share = math.log2(spans) if mixed and spans > 1 and level < last else 0.0
+    _level(surface, x, level, u, v, 1 - share, mixed, out)
     if share > 0:
-        _level(surface, x, level + 1, u, v, share, out)
+        _level(surface, x, level + 1, u, v, share, mixed, out)
 
 
 @njit(cache=True)
@@ -135,6 +137,23 @@ def tint(colors: Any, base_color: Any, vertices: Any, weight: Any, material: int
         for e in range(3):
             mixed += weight[e] * colors[vertices[e], c]
         out[c] = mixed * base_color[material, c]
+
+
+@njit(cache=True)
+def textured(
+    sources: Any, surface: Any, coordinates: Any, x: int, s: int, weight: Any, one_over_z: float, detail: float,
+    uv: Any, shown: Any,
+) -> None:  # fmt: skip
+    """Fill shown (4,) with texture x, laid on by `coordinates` (Y,2), at the point of triangle s with these weights."""
+    u, v = 0.0, 0.0
+    for c in range(3):
+        for a in range(2):
+            uv[c, a] = coordinates[sources.vertex[s, c], a]
+        u, v = u + weight[c] * uv[c, 0], v + weight[c] * uv[c, 1]
+    first = surface.level_row[x]
+    w, h = surface.level_size[first, 0], surface.level_size[first, 1]
+    spans = detail * footprint(sources.snapped[s], sources.inverse[s], one_over_z, uv, u, v, w, h)
+    texture_at(surface, x, u, v, spans, shown)
 
 
 @njit(cache=True)
@@ -152,15 +171,7 @@ def color_at(
     x = surface.texture[k]
     tint(surface.color, surface.base_color, sources.vertex[s], weight, k, out[0:4])
     if x >= 0:
-        u, v = 0.0, 0.0
-        for c in range(3):
-            for a in range(2):
-                uv[c, a] = surface.uv[sources.vertex[s, c], a]
-            u, v = u + weight[c] * uv[c, 0], v + weight[c] * uv[c, 1]
-        first = surface.level_row[x]
-        w, h = surface.level_size[first, 0], surface.level_size[first, 1]
-        spans = detail * footprint(sources.snapped[s], sources.inverse[s], one_over_z, uv, u, v, w, h)
-        texture_at(surface, x, u, v, spans, shown)
+        textured(sources, surface, surface.uv, x, s, weight, one_over_z, detail, uv, shown)
         for c in range(4):
             out[c] *= shown[c]
     return one_over_z

@@ -2,7 +2,9 @@
 
     base   = material base colour * vertex colour * texture                      linear RGB
     light  = ground + (sky - ground) (n.y + 1) / 2 + sun max(0, n . sun_direction)
-    colour = encode_srgb(clamp(base * light + emissive))                         nothing depends on the view
+    colour = encode_srgb(clamp(base * light + emissive * its texture))           nothing depends on the view
+
+light is 1 for an unlit material.
 
 n is the interpolated vertex normal in the world, normalised; on the back of a double-sided material it is turned round.
 `LIGHTING` goes into the manifest. A wall in the sun gets about 0.9, one in the shade 0.4, a roof 1.05: walls of one
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from farfield.bake.sample import color_at, image_weights, surface_weights
+from farfield.bake.sample import color_at, image_weights, surface_weights, textured
 
 # Linear RGB; the direction points to the sun, y up.
 LIGHTING: dict[str, tuple[float, float, float]] = {
@@ -64,8 +66,17 @@ def shade_at(
 
     detail, out, uv, shown as in `color_at`. Outside the triangle it is the point of it closest to (cx, cy).
     """
-    color_at(sources, surface, s, cx, cy, detail, out, uv, shown)
+    one_over_z = color_at(sources, surface, s, cx, cy, detail, out, uv, shown)
     m, lights = sources.material[s], surface.lights
+    glow = surface.emissive_texture[m]
+    if glow >= 0:
+        textured(sources, surface, surface.emissive_uv, glow, s, out[7:10], one_over_z, detail, uv, shown)
+    else:
+        shown[:] = 1.0
+    if surface.unlit[m]:
+        for c in range(3):
+            color[c] = min(max(out[c] + surface.emissive[m, c] * shown[c], 0.0), 1.0)
+        return
     w0, w1, w2 = out[7], out[8], out[9]
     v0, v1, v2 = sources.vertex[s, 0], sources.vertex[s, 1], sources.vertex[s, 2]
     turn = surface.turn[sources.object[s]]
@@ -82,7 +93,7 @@ def shade_at(
     sunny = max(nx * lights[0, 0] + ny * lights[0, 1] + nz * lights[0, 2], 0.0)
     for c in range(3):
         falls = lights[3, c] + (lights[2, c] - lights[3, c]) * ((ny + 1) / 2) + lights[1, c] * sunny
-        color[c] = min(max(out[c] * falls + surface.emissive[m, c], 0.0), 1.0)
+        color[c] = min(max(out[c] * falls + surface.emissive[m, c] * shown[c], 0.0), 1.0)
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""Decode base-colour textures into mip pyramids that kernels can sample.
+"""Decode base-colour and emissive textures into mip pyramids that kernels can sample.
 
 Levels are averages of 2 x 2 texels in linear light (an odd last row or column is averaged with itself), stored as sRGB
 bytes again; alpha is averaged as it is. Only the textures of the batch's materials are decoded.
@@ -30,7 +30,8 @@ def decode(scene: Scene, materials: np.ndarray) -> Pyramids:
     Raises SceneUnreadable for an image that does not decode.
     """
     n = len(scene.texture_byte) - 1
-    wanted = set(scene.material_texture[materials].tolist()) - {-1}
+    columns = scene.material_texture[materials], scene.material_emissive_texture[materials]
+    wanted = set(np.concatenate(columns).tolist()) - {-1}
     row, sizes, starts, parts, at = [0], [], [], [], 0
     for x in range(n):
         if x in wanted:

@@ -20,7 +20,7 @@ from farfield.geometry.intervals import direction_at, edges, split_id
 from farfield.placement.model import Bound, Placement
 from farfield.rendertime.model import CostModel
 from farfield.rendertime.profiles import find_profile
-from farfield.scene.model import Scene
+from farfield.scene.model import LOOKS, Scene
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
 from farfield.viewspace.model import ProblemViews
@@ -102,7 +102,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         "curve": _curve(placement),
         "verified": verified,
         "warnings": list(scene.warnings), "dropped_triangles": scene.dropped_triangles,
-        "not_baked": list(baked.skipped), "software": manifest["provenance"]["software"],
+        "not_baked": list(baked.skipped), "looks": _looks(scene), "software": manifest["provenance"]["software"],
         "inputs": manifest["provenance"]["inputs"],
     }  # fmt: skip
 
@@ -208,6 +208,19 @@ def _object(scene: Scene, i: int) -> dict[str, Any]:
         "id": i, "name": scene.object_name[i], "box": (scene.object_box[i] + scene.origin_m).tolist(),
         "triangles": int(scene.object_triangles[i]), "calls": int(scene.object_calls[i]),
     }  # fmt: skip
+
+
+def _looks(scene: Scene) -> list[dict[str, Any]]:
+    """Return what no picture taken beforehand can show: how many objects have it, and how many of them stay geometry."""
+    found = []
+    for k, name in enumerate(LOOKS):
+        has = scene.object_look >> k & 1 == 1
+        kept = int((has & np.logical_not(scene.object_replaceable)).sum())
+        if has.any():
+            found.append(
+                {"look": name, "objects": int(has.sum()), "geometry": kept, "flattened": int(has.sum()) - kept}
+            )
+    return found
 
 
 def _curve(placement: Placement) -> list[dict[str, int]]:

@@ -84,11 +84,17 @@ class Json:
 class Accessors:
     """Reads accessors of one document; each is decoded once."""
 
-    def __init__(self, document: dict[str, Any], buffer_of: Callable[[int], bytes], limits: Limits) -> None:
+    def __init__(
+        self, document: dict[str, Any], buffer_of: Callable[[int], bytes], limits: Limits,
+        decoded: Callable[[dict[str, Any], Callable[[int], bytes], int, str], bytes | None] = lambda *_: None,
+    ) -> None:  # fmt: skip
+        """decoded  what gives the bytes of a buffer view that is compressed, None for others; told how many may be"""
         self._accessors = Json.rows(document.get("accessors"), "accessors")
         self._views = Json.rows(document.get("bufferViews"), "bufferViews")
         self._buffer_of = buffer_of
         self._limits = limits
+        self._decoded = decoded
+        self._unpacked: dict[int, memoryview] = {}
         self._known: dict[int, np.ndarray] = {}
         self._elements = 0
 
@@ -98,6 +104,16 @@ class Accessors:
 
     def _view(self, index: Any, where: str) -> tuple[memoryview, int]:
         view = Json.pick(self._views, index, f"{where}.bufferView")
+        key = Json.integer(index, where)
+        if (
+            key not in self._unpacked
+            and (data := self._decoded(view, self._buffer_of, 64 * self._limits.vertices, where)) is not None
+        ):
+            self._elements += len(data) // 4
+            need(self._elements, 4 * self._limits.vertices, "accessor elements")
+            self._unpacked[key] = memoryview(data)
+        if key in self._unpacked:
+            return self._unpacked[key], Json.count(view.get("byteStride", 0), f"{where}: byteStride of its bufferView")
         buffer = memoryview(self._buffer_of(Json.integer(view.get("buffer"), f"{where}: buffer of its bufferView")))
         start = Json.count(view.get("byteOffset", 0), f"{where}: byteOffset of its bufferView")
         length = Json.count(view.get("byteLength"), f"{where}: byteLength of its bufferView")

@@ -2,8 +2,9 @@
 
 Own reader over the JSON, because trimesh drops triangle fans silently, ignores texture transforms, reads no sparse or
 zero-filled accessors, and trusts sizes it is told. Materials: `gltf_materials.py`; accessors: `accessors.py`.
-What a static level does not need is left out with a warning: animation, skins, morph targets, points, lines.
-After    glTF 2.0 specification; KHR_texture_transform, KHR_mesh_quantization.
+Points and lines are left out with a warning. What moves (animation, skins, morph targets) stands as it is stored and is
+marked, for no impostor can show it: `Scene.object_look`.
+After    glTF 2.0 specification; KHR_texture_transform, KHR_mesh_quantization, EXT_meshopt_compression (`meshopt.py`).
 """
 
 import json
@@ -15,17 +16,19 @@ import numpy as np
 from farfield.errors import SceneIndexOutOfRange, SceneNotFinite, SceneUnreadable
 from farfield.scene.accessors import Accessors, Json
 from farfield.scene.files import SceneFiles, data_uri, relative_name
-from farfield.scene.gltf_materials import Materials
+from farfield.scene.gltf_materials import NONE, Materials, TexCoord
 from farfield.scene.limits import Limits, need
+from farfield.scene.meshopt import view_bytes
+from farfield.scene.model import ANIMATED, MORPHED, SKINNED
 from farfield.scene.raw import RawNode, RawPrimitive, RawScene
 
 READ_EXTENSIONS = frozenset({
     "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_emissive_strength", "EXT_texture_webp",
-    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit", "EXT_meshopt_compression",
 })  # fmt: skip
 # They change how light plays on a surface, not where it is: shown without.
 IGNORED_EXTENSIONS = frozenset({
-    "KHR_materials_unlit", "KHR_materials_clearcoat", "KHR_materials_ior", "KHR_materials_sheen",
+    "KHR_materials_clearcoat", "KHR_materials_ior", "KHR_materials_sheen",
     "KHR_materials_specular", "KHR_materials_iridescence", "KHR_materials_anisotropy", "KHR_materials_dispersion",
     "KHR_materials_variants", "KHR_lights_punctual", "KHR_animation_pointer", "KHR_xmp_json_ld",
     "KHR_materials_volume", "KHR_materials_transmission", "KHR_materials_diffuse_transmission",
@@ -78,7 +81,7 @@ class _Reader:
         self.scene = RawScene()
         self.buffers: dict[int, Any] = {}
         self.nodes = self._rows("nodes")
-        self.accessors = Accessors(document, self._buffer, limits)
+        self.accessors = Accessors(document, self._buffer, limits, decoded=view_bytes)
         self.materials = Materials(document, self._image_source, self.scene, limits)
         self.n_triangles = self.n_vertices = 0
 
@@ -91,14 +94,15 @@ class _Reader:
 
     def read(self) -> RawScene:
         self._check_head()
-        if self._rows("animations"):
+        moving = self._moving()
+        if moving:
             self._warn("Animations are left out: the level is placed as its nodes stand.")
         mesh_ids: dict[int, int] = {}
-        placed = self._placed()
+        placed = self._placed(moving)
         outside = sum(isinstance(n, dict) and "mesh" in n for n in self.nodes) - len(placed)
         if outside:
             self._warn(f"{outside} nodes with meshes are not part of the default scene; they are left out.")
-        for i, matrix in placed:
+        for i, matrix, look in placed:
             node = self.nodes[i]
             mesh = Json.integer(node["mesh"], f"nodes[{i}].mesh")
             if mesh not in mesh_ids:
@@ -107,7 +111,9 @@ class _Reader:
             name = node.get("name") or Json.pick(self._rows("meshes"), mesh, f"nodes[{i}].mesh").get("name")
             if "skin" in node:
                 self._warn("Skins are left out: skinned meshes stand as they are stored.")
-            self.scene.nodes.append(RawNode(name if isinstance(name, str) else f"node {i}", mesh_ids[mesh], matrix))
+                look |= SKINNED
+            named = name if isinstance(name, str) else f"node {i}"
+            self.scene.nodes.append(RawNode(named, mesh_ids[mesh], matrix, look))
         return self.scene
 
     def _check_head(self) -> None:
@@ -143,26 +149,41 @@ class _Reader:
         }
         return [i for i in range(len(self.nodes)) if i not in children]
 
-    def _placed(self) -> list[tuple[int, np.ndarray]]:
-        """Return mesh-bearing nodes with their matrices to the scene, parents first."""
+    def _moving(self) -> dict[int, int]:
+        """Return the nodes that animations move, each with what moves in it."""
+        moving: dict[int, int] = {}
+        for a, animation in enumerate(self._rows("animations")):
+            where = f"animations[{a}].channels"
+            for row in Json.rows(Json.table(animation, f"animations[{a}]").get("channels"), where):
+                target = Json.table(Json.table(row, where).get("target"), f"{where}.target")
+                if "node" in target:
+                    node = Json.integer(target["node"], f"{where}.target.node")
+                    look = MORPHED if target.get("path") == "weights" else ANIMATED
+                    moving[node] = moving.get(node, 0) | look
+        return moving
+
+    def _placed(self, moving: dict[int, int]) -> list[tuple[int, np.ndarray, int]]:
+        """Return mesh-bearing nodes with their matrices to the scene and their looks, parents first."""
         need(len(self.nodes), self.limits.nodes, "nodes")
         seen: set[int] = set()
         placed = []
-        waiting = [(i, np.eye(4), 1) for i in reversed(self._roots())]
+        waiting = [(i, np.eye(4), 1, 0) for i in reversed(self._roots())]
         while waiting:
-            i, above, depth = waiting.pop()
+            i, above, depth, look = waiting.pop()
             node = Json.pick(self.nodes, i, "a scene's or node's list of nodes")
             if i in seen:
                 raise SceneUnreadable(f"nodes[{i}] has two parents, or is its own ancestor.")
             seen.add(i)
             need(depth, self.limits.node_depth, "levels of nodes")
             matrix = compose(above, _local_matrix(node, f"nodes[{i}]"))
+            look |= moving.get(i, 0)
             if "mesh" in node:
                 if not np.isfinite(matrix).all():
                     raise SceneNotFinite(f"The transform of nodes[{i}] is not finite.")
-                placed.append((i, matrix))
+                placed.append((i, matrix, look))
             children = Json.rows(node.get("children"), f"nodes[{i}].children")
-            waiting += [(Json.integer(c, f"nodes[{i}].children"), matrix, depth + 1) for c in reversed(children)]
+            below = look & ANIMATED
+            waiting += [(Json.integer(c, f"nodes[{i}].children"), matrix, depth + 1, below) for c in reversed(children)]
         return placed
 
     # meshes
@@ -218,15 +239,23 @@ class _Reader:
         color = attribute("COLOR_0", (3, 4))
         if color is not None and color.shape[1] == 3:
             color = np.concatenate([color, np.ones((len(color), 1), np.float32)], 1)
-        material, (tex_coord, transform) = self.materials.index(row.get("material"), where)
-        uv = attribute(f"TEXCOORD_{tex_coord}", (2,)) if tex_coord >= 0 else None
-        if uv is not None and transform is not None:
+        material, base, glow = self.materials.index(row.get("material"), where)
+
+        def addressed(way: TexCoord) -> np.ndarray | None:
+            tex_coord, transform = way
+            uv = attribute(f"TEXCOORD_{tex_coord}", (2,)) if tex_coord >= 0 else None
+            if uv is None or transform is None:
+                return uv
             linear, offset = transform
             u, v = uv[:, 0].astype(np.float64), uv[:, 1].astype(np.float64)
-            uv = np.stack([linear[k][0] * u + linear[k][1] * v + offset[k] for k in range(2)], 1).astype(np.float32)
+            return np.stack([linear[k][0] * u + linear[k][1] * v + offset[k] for k in range(2)], 1).astype(np.float32)
+
+        alone = base[0] < 0 or glow in (NONE, base)  # one set of coordinates is enough
         return RawPrimitive(
-            position=position, index=index, material=material, normal=attribute("NORMAL", (3,)), uv=uv, color=color
-        )
+            position=position, index=index, material=material, normal=attribute("NORMAL", (3,)),
+            uv=addressed(glow if base[0] < 0 else base), emissive_uv=None if alone else addressed(glow), color=color,
+            look=MORPHED if row.get("targets") else 0,
+        )  # fmt: skip
 
     def _triangles(
         self, row: dict[str, Any], attributes: dict[str, Any], mode: int, where: str

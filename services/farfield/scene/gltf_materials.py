@@ -10,7 +10,7 @@ from farfield.errors import SceneFileMissing
 from farfield.scene.accessors import Json
 from farfield.scene.images import ImageBroken, ImageBudget
 from farfield.scene.limits import Limits
-from farfield.scene.model import BLEND, MASK, OPAQUE
+from farfield.scene.model import BLEND, MASK, OPAQUE, SHINY, TRANSMISSIVE
 from farfield.scene.raw import CLAMP, MIRROR, REPEAT, RawMaterial, RawScene, RawTexture
 
 Transform = tuple[list[list[float]], list[float]]  # uv' = linear uv + offset
@@ -32,21 +32,21 @@ class Materials:
         self._image_source = image_source
         self._scene = scene
         self._budget = ImageBudget(limits)
-        self._known: dict[int, tuple[int, TexCoord]] = {}
+        self._known: dict[int, tuple[int, TexCoord, TexCoord]] = {}
         self._images: dict[int, bytes | None] = {}
-        self._textures: dict[tuple[int, tuple[int, int], bool], int] = {}
+        self._textures: dict[tuple[int, tuple[int, int], bool, bool], int] = {}
 
-    def index(self, value: Any, where: str) -> tuple[int, TexCoord]:
-        """Return (material in the RawScene or -1, how its base colour texture is addressed)."""
+    def index(self, value: Any, where: str) -> tuple[int, TexCoord, TexCoord]:
+        """Return (material in the RawScene or -1, how its base colour and its emissive texture are addressed)."""
         if value is None:
-            return -1, NONE
+            return -1, NONE, NONE
         key = Json.integer(value, f"{where}.material")
         if key not in self._known:
             row = Json.pick(Json.rows(self._document.get("materials"), "materials"), key, f"{where}.material")
             self._known[key] = self._read(row, f"materials[{key}]")
         return self._known[key]
 
-    def _read(self, row: dict[str, Any], where: str) -> tuple[int, TexCoord]:
+    def _read(self, row: dict[str, Any], where: str) -> tuple[int, TexCoord, TexCoord]:
         extensions = Json.table(row.get("extensions"), f"{where}.extensions")
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
         if "pbrMetallicRoughness" not in row and glossy is not None:
@@ -57,27 +57,35 @@ class Materials:
         color = _finite(Json.numbers(pbr.get(color_key, [1, 1, 1, 1]), 4, f"{where}.{color_key}"), 1.0)
         texture, tex_coord = self._texture(pbr.get(texture_key), f"{where}.{texture_key}")
         mode = {"MASK": MASK, "BLEND": BLEND}.get(str(row.get("alphaMode")), OPAQUE)
-        if "KHR_materials_transmission" in extensions:
+        unlit = "KHR_materials_unlit" in extensions  # its extension leaves nothing of light, its own or another's
+        emissive = (0.0, 0.0, 0.0) if unlit else self._emissive(row, extensions, where)
+        glow, glow_coord = -1, NONE
+        if any(emissive):
+            glow, glow_coord = self._texture(row.get("emissiveTexture"), f"{where}.emissiveTexture")
+            if row.get("emissiveTexture") is not None and glow < 0:
+                emissive = (0.0, 0.0, 0.0)  # an image that cannot be read must not glow all over
+        look = 0 if unlit else _look(row, pbr, extensions, where)
+        if look & TRANSMISSIVE:
             mode = BLEND  # glass: what lies behind it must be seen
         material = RawMaterial(
             name=row["name"] if isinstance(row.get("name"), str) else where,
             base_color=tuple(min(max(c, 0.0), 1.0) for c in color),
-            emissive=self._emissive(row, extensions, where),
+            emissive=emissive,
             alpha_mode=mode,
             alpha_cutoff=_finite([Json.number(row.get("alphaCutoff", 0.5), f"{where}.alphaCutoff")], 0.5)[0],
             double_sided=row.get("doubleSided") is True,
             texture=texture,
+            emissive_texture=glow,
+            unlit=unlit,
+            look=look,
         )
         self._scene.materials.append(material)
-        return len(self._scene.materials) - 1, tex_coord
+        return len(self._scene.materials) - 1, tex_coord, glow_coord
 
     def _emissive(self, row: dict[str, Any], extensions: dict[str, Any], where: str) -> tuple[float, ...]:
         factor = _finite(Json.numbers(row.get("emissiveFactor", [0, 0, 0]), 3, f"{where}.emissiveFactor"), 0.0)
         strength = Json.table(extensions.get("KHR_materials_emissive_strength"), where).get("emissiveStrength", 1.0)
         scale = _finite([Json.number(strength, f"{where}: emissiveStrength")], 1.0)[0]
-        if row.get("emissiveTexture") is not None and any(factor):
-            self._warn(f"The emissive texture of material {row.get('name', where)!r} is left out; it does not glow.")
-            return (0.0, 0.0, 0.0)
         return tuple(min(max(f * scale, 0.0), 1e6) for f in factor)
 
     def _texture(self, value: Any, where: str) -> tuple[int, TexCoord]:
@@ -105,10 +113,11 @@ class Materials:
             w if (w := sampler.get(k, REPEAT)) in (REPEAT, MIRROR, CLAMP) else REPEAT for k in ("wrapS", "wrapT")
         )
         linear = sampler.get("magFilter") != 9728
-        identity = (key, (int(wrap_s), int(wrap_t)), linear)
+        smooth = sampler.get("minFilter") not in (9728, 9984, 9986)  # all others mix texels
+        identity = (key, (int(wrap_s), int(wrap_t)), linear, smooth)
         if identity not in self._textures:
             self._textures[identity] = len(self._scene.textures)
-            self._scene.textures.append(RawTexture(data=data, wrap=identity[1], linear=linear))
+            self._scene.textures.append(RawTexture(data=data, wrap=identity[1], linear=linear, smooth=smooth))
         return self._textures[identity], _addressing(info, where)
 
     def _image(self, index: int, where: str) -> bytes | None:
@@ -122,6 +131,21 @@ class Materials:
     def _warn(self, text: str) -> None:
         if text not in self._scene.warnings:
             self._scene.warnings.append(text)
+
+
+_SHINE = ("clearcoat", "iridescence", "anisotropy", "sheen", "specular", "dispersion")
+_GLASS = ("transmission", "volume", "diffuse_transmission")
+_METAL = 0.5  # from this metallic factor on a surface shows its surroundings more than itself
+
+
+def _look(row: dict[str, Any], pbr: dict[str, Any], extensions: dict[str, Any], where: str) -> int:
+    """Return what of a material no picture can hold. A metallic factor that is left out is 1, as glTF has it;
+    a material that states no factors at all is taken for a plain one."""
+    shiny = any(f"KHR_materials_{name}" in extensions for name in _SHINE)
+    if "pbrMetallicRoughness" in row:
+        shiny = shiny or Json.number(pbr.get("metallicFactor", 1.0), f"{where}.metallicFactor") >= _METAL
+    glass = any(f"KHR_materials_{name}" in extensions for name in _GLASS)
+    return (SHINY if shiny else 0) | (TRANSMISSIVE if glass else 0)
 
 
 def _finite(values: list[float], default: float) -> list[float]:

@@ -30,6 +30,7 @@ class Level:
     position: np.ndarray
     normal: np.ndarray
     uv: np.ndarray
+    emissive_uv: np.ndarray
     color: np.ndarray
     index: np.ndarray  # int64
     primitive_triangle: np.ndarray
@@ -40,6 +41,7 @@ class Level:
     object_matrix: np.ndarray
     object_box: np.ndarray
     object_name: list[str]
+    object_look: np.ndarray  # of the node and its mesh; materials add theirs at the end
     materials: list[RawMaterial]
     textures: list[RawTexture]
     dropped_triangles: int
@@ -73,6 +75,8 @@ def build_level(raw: RawScene, *, unit_m: float, up: str) -> Level:
     offsets = _offsets(raw, [n.mesh for n in nodes], matrices)
     warnings += _coarse_steps(raw, offsets, nodes, matrices)
     for n, matrix in zip(nodes, matrices):
+        for p in raw.meshes[n.mesh]:
+            n.look |= p.look
         if n.mesh in offsets:
             matrix[:3, 3] += (matrix[:3, :3] * offsets[n.mesh]).sum(1)
     level = _pack(raw, {n.mesh for n in nodes}, offsets, warnings)
@@ -153,6 +157,8 @@ def _pack(raw: RawScene, used: set[int], offsets: dict[int, np.ndarray], warning
     n = int(primitive_vertex[-1])
     position, normal, uv = np.empty((n, 3), np.float32), np.zeros((n, 3), np.float32), np.zeros((n, 2), np.float32)
     color, index = np.ones((n, 4), np.float32), np.empty((primitive_triangle[-1], 3), dtype=np.int64)
+    apart = any(p.emissive_uv is not None for p in in_use)
+    emissive_uv = np.zeros((n if apart else 0, 2), np.float32)
     del in_use
     mesh_primitive = np.zeros(len(raw.meshes) + 1, dtype=np.int64)
     k = 0
@@ -168,8 +174,13 @@ def _pack(raw: RawScene, used: set[int], offsets: dict[int, np.ndarray], warning
                 position[here] = moved.astype(np.float32)
             if p.normal is not None:
                 normal[here] = _unit(p.normal)
-            if p.uv is not None and materials[p.material].texture >= 0:
+            material = materials[p.material]
+            if p.uv is not None and max(material.texture, material.emissive_texture) >= 0:
                 uv[here] = _cleaned(p.uv, 0.0, "texture coordinates", warnings)
+            if len(emissive_uv):
+                emissive_uv[here] = (
+                    uv[here] if p.emissive_uv is None else _cleaned(p.emissive_uv, 0.0, "texture coordinates", warnings)
+                )
             if p.color is not None:
                 color[here] = np.clip(_cleaned(p.color, 1.0, "vertex colours", warnings), 0.0, 1.0)
             np.add(p.index, primitive_vertex[k], out=index[primitive_triangle[k] : primitive_triangle[k + 1]])
@@ -180,10 +191,12 @@ def _pack(raw: RawScene, used: set[int], offsets: dict[int, np.ndarray], warning
     if not np.isfinite(position).all():
         raise SceneNotFinite("A vertex position is too large for a 32-bit number.")
     return Level(
-        position=position, normal=normal, uv=uv, color=color, index=index, primitive_triangle=primitive_triangle,
+        position=position, normal=normal, uv=uv, emissive_uv=emissive_uv, color=color, index=index,
+        primitive_triangle=primitive_triangle,
         primitive_vertex=primitive_vertex, primitive_material=primitive_material, mesh_primitive=mesh_primitive,
         object_mesh=np.zeros(0, np.int32), object_matrix=np.zeros((0, 3, 4)), object_box=np.zeros((0, 2, 3)),
-        object_name=[], materials=materials, textures=list(raw.textures), dropped_triangles=raw.dropped_triangles,
+        object_name=[], object_look=np.zeros(0, np.uint8), materials=materials, textures=list(raw.textures),
+        dropped_triangles=raw.dropped_triangles,
         warnings=warnings, notice=raw.notice,
     )  # fmt: skip
 
@@ -250,6 +263,7 @@ def _drop_degenerate_and_split_normals(level: Level, mesh: np.ndarray, matrices:
     level.object_mesh = number[mesh[placed]].astype(np.int32)
     level.object_matrix = np.array([matrices[i][:3] for i in placed.tolist()])
     level.object_name = [nodes[i].name for i in placed.tolist()]
+    level.object_look = np.array([nodes[i].look for i in placed.tolist()], dtype=np.uint8)
     measure(level)
 
 
@@ -286,5 +300,6 @@ def repack(level: Level, triangle: np.ndarray, primitive_triangle: np.ndarray) -
 
 def _take(level: Level, source: np.ndarray) -> None:
     """Make vertices of copies of old ones; one column after the other, and `take`, which is twice as fast as an index."""
-    for name in ("position", "normal", "uv", "color"):
-        setattr(level, name, getattr(level, name).take(source, axis=0))
+    for name in ("position", "normal", "uv", "emissive_uv", "color"):
+        if len(column := getattr(level, name)):
+            setattr(level, name, column.take(source, axis=0))

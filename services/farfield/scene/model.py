@@ -6,6 +6,16 @@ import numpy as np
 
 OPAQUE, MASK, BLEND = 0, 1, 2
 
+# What of an object no picture taken beforehand can show: bit k of Scene.object_look. The first two never are replaced; the
+# others stay geometry or are baked as they stand in the light of `farfield.bake.shade`, as `bake.flatten` says.
+LOOKS = ("blended", "transmissive", "shiny", "animated", "skinned", "morphed")
+BLENDED, TRANSMISSIVE, SHINY, ANIMATED, SKINNED, MORPHED = (1 << k for k in range(6))
+KEPT = {  # by `bake.flatten`: objects with any of these looks stay geometry
+    "none": BLENDED | TRANSMISSIVE | SHINY | ANIMATED | SKINNED | MORPHED,
+    "shine": BLENDED | TRANSMISSIVE | ANIMATED | SKINNED | MORPHED,
+    "all": BLENDED | TRANSMISSIVE,
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
@@ -22,7 +32,8 @@ class Scene:
     # vertices, mesh-local; float32 is what is drawn, counted and baked alike (loss: 2**-24 of the mesh's extent)
     position: np.ndarray  # (Y,3) f32
     normal: np.ndarray  # (Y,3) f32  unit; computed where the file has none
-    uv: np.ndarray  # (Y,2) f32  base-colour texture coordinates, texture transform applied; 0 where none
+    uv: np.ndarray  # (Y,2) f32  texture coordinates, texture transform applied; 0 where none
+    emissive_uv: np.ndarray  # (Y,2) f32  those of emissive textures, or (0,2): all of them take `uv`
     color: np.ndarray  # (Y,4) f32  linear RGBA vertex colour; 1 where none
     index: np.ndarray  # (T,3) i32  into the vertex arrays
     # primitives: one draw call each
@@ -37,21 +48,25 @@ class Scene:
     object_triangles: np.ndarray  # (N,) i64
     object_calls: np.ndarray  # (N,) i64  primitives
     object_bytes: np.ndarray  # (N,) i64  geometry bytes of its mesh (36 a vertex, 12 a triangle), shared or not
-    object_replaceable: np.ndarray  # (N,) b1  False: some material cannot be baked (blended), stays geometry
+    object_replaceable: np.ndarray  # (N,) b1  False: it stays geometry, for what `object_look` says
+    object_look: np.ndarray  # (N,) u1  what cannot be baked of it: bit k is LOOKS[k]
     object_name: tuple[str, ...]
     # materials
     material_base_color: np.ndarray  # (K,4) f32  linear
-    material_emissive: np.ndarray  # (K,3) f32  linear
+    material_emissive: np.ndarray  # (K,3) f32  linear; times its texture
+    material_unlit: np.ndarray  # (K,) b1  shows its base colour whatever the light
     material_alpha_mode: np.ndarray  # (K,) u1   OPAQUE, MASK, BLEND
     material_alpha_cutoff: np.ndarray  # (K,) f32
     material_double_sided: np.ndarray  # (K,) b1
     material_texture: np.ndarray  # (K,) i32  base-colour texture, -1 none
+    material_emissive_texture: np.ndarray  # (K,) i32  -1 none
     material_name: tuple[str, ...]
     # textures: encoded images (PNG, JPEG, WebP)
     texture_byte: np.ndarray  # (X+1,) i64  image x is texture_data[x, x+1)
     texture_data: np.ndarray  # (D,) u1
     texture_wrap: np.ndarray  # (X,2) i32  glTF wrap modes in s and t (33071 clamp, 33648 mirror, 10497 repeat)
-    texture_linear: np.ndarray  # (X,) b1  filter linearly (else nearest)
+    texture_linear: np.ndarray  # (X,) b1  magnified linearly (else nearest)
+    texture_smooth: np.ndarray  # (X,) b1  minified between texels and levels (else nearest)
     # what was noticed
     dropped_triangles: int  # degenerate ones
     warnings: tuple[str, ...]

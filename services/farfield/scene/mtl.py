@@ -73,11 +73,20 @@ class MtlReader:
                 mode = MASK
             else:
                 self._warn(f"The opacity texture of material {name[:120]!r} is left out.")
+        emissive = tuple(linear_from_srgb(_numbers(rows.get("ke", ""), 3) or [0.0, 0.0, 0.0]).tolist())
+        glow, way = self._texture(rows.get("map_ke", ""), folder)
+        if glow >= 0 and texture >= 0 and way != transform:
+            self._warn(
+                f"The emissive texture of material {name[:120]!r} is scaled otherwise than its colour; left out."
+            )
+            glow, emissive = -1, (0.0, 0.0, 0.0)
+        elif glow >= 0:
+            transform = way
+            emissive = emissive if any(emissive) else (1.0, 1.0, 1.0)  # exporters write the texture alone
         self._scene.materials.append(
             RawMaterial(
                 name=name, base_color=(*linear_from_srgb(color).tolist(), min(max(opacity, 0.0), 1.0)), alpha_mode=mode,
-                emissive=tuple(linear_from_srgb(_numbers(rows.get("ke", ""), 3) or [0.0, 0.0, 0.0]).tolist()),
-                double_sided=True, texture=texture,
+                emissive=emissive, double_sided=True, texture=texture, emissive_texture=glow,
             )
         )  # fmt: skip
         self.materials[name] = (len(self._scene.materials) - 1, transform)

@@ -20,6 +20,8 @@ class RawPrimitive:
     normal: np.ndarray | None = None  # (V,3) f32, any length
     uv: np.ndarray | None = None  # (V,2) f32, texture transform applied, origin top left
     color: np.ndarray | None = None  # (V,4) f32, linear
+    emissive_uv: np.ndarray | None = None  # (V,2) f32; None: as uv
+    look: int = 0  # bits of farfield.scene.model.LOOKS
 
 
 @dataclass(slots=True)
@@ -29,6 +31,7 @@ class RawNode:
     name: str
     mesh: int
     matrix: np.ndarray  # (4,4) f64, finite, affine
+    look: int = 0  # bits of farfield.scene.model.LOOKS
 
 
 @dataclass(slots=True, kw_only=True)
@@ -40,13 +43,17 @@ class RawMaterial:
     alpha_cutoff: float = 0.5
     double_sided: bool = False
     texture: int = -1
+    emissive_texture: int = -1
+    unlit: bool = False
+    look: int = 0  # bits of farfield.scene.model.LOOKS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawTexture:
     data: bytes  # PNG, JPEG or WebP, checked to decode
     wrap: tuple[int, int] = (REPEAT, REPEAT)
-    linear: bool = True
+    linear: bool = True  # magnified
+    smooth: bool = True  # minified
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ from farfield.scene.files import Folder, SceneFiles, Zip
 from farfield.scene.gltf import read_gltf
 from farfield.scene.level import TRIANGLE_BYTES, VERTEX_BYTES, Level, build_level, measure, repack
 from farfield.scene.limits import Limits
-from farfield.scene.model import BLEND, MASK, Scene
+from farfield.scene.model import BLEND, BLENDED, KEPT, MASK, Scene
 from farfield.scene.obj import read_obj
 from farfield.scene.order import object_order
 from farfield.scene.raw import RawScene
@@ -64,7 +64,7 @@ def inspect_scene(
     level.warnings += suggestion.hints
     split_level(level, cell_m=suggestion.cell_m, min_triangles=settings.scene.split_triangles)
     suggestion = suggest_budgets(suggestion, level, settings=settings)
-    return _finish(level, suggestion), suggestion
+    return _finish(level, suggestion, kept=KEPT[settings.bake.flatten]), suggestion
 
 
 def _read_raw(path: Path, limits: Limits) -> RawScene:
@@ -95,8 +95,8 @@ def _reader(data: bytes, name: str):  # type: ignore[no-untyped-def]
     raise SceneUnreadable(f"{Path(name).name} is in no format that is read.")
 
 
-def _finish(level: Level, suggestion: Suggestion) -> Scene:
-    """Fix the ids and freeze the columns relative to the origin; level is used up."""
+def _finish(level: Level, suggestion: Suggestion, *, kept: int) -> Scene:
+    """Fix the ids and freeze the columns relative to the origin; level is used up. kept: looks that stay geometry."""
     origin = grid_origin(level, suggestion.cell_m)
     level.object_matrix[:, :, 3] -= origin
     measure(level)
@@ -116,34 +116,39 @@ def _finish(level: Level, suggestion: Suggestion) -> Scene:
     material = level.primitive_material[primitives]
     materials = _first_uses(material)
     rows = [level.materials[k] for k in materials.tolist()]
-    used = np.array([r.texture for r in rows], dtype=np.int64)
+    used = np.array([(r.texture, r.emissive_texture) for r in rows], dtype=np.int64)
     textures = _first_uses(used[used >= 0])
     images = [level.textures[x] for x in textures.tolist()]
     mesh = _renumbered(level.object_mesh[order], meshes)
     vertices = np.diff(level.primitive_vertex[mesh_primitive])[mesh]
-    blended = np.array([r.alpha_mode == BLEND for r in rows])[_renumbered(material, materials)]
-    mesh_blended = np.logical_or.reduceat(blended, mesh_primitive[:-1])
+    look = np.array([r.look | (BLENDED if r.alpha_mode == BLEND else 0) for r in rows], dtype=np.uint8)
+    mesh_look = np.bitwise_or.reduceat(look[_renumbered(material, materials)], mesh_primitive[:-1])
+    object_look = level.object_look[order] | mesh_look[mesh]
     f32 = lambda values, width: np.array(values, dtype=np.float32).reshape(-1, width)  # noqa: E731
     return Scene(
         origin_m=origin, cell_m=float(suggestion.cell_m),
         view_boxes=np.array(suggestion.boxes, dtype=np.float64).reshape(-1, 2, 3) - origin,
-        position=level.position, normal=level.normal, uv=level.uv, color=level.color,
+        position=level.position, normal=level.normal, uv=level.uv, emissive_uv=level.emissive_uv, color=level.color,
         index=level.index.astype(np.int32), primitive_triangle=level.primitive_triangle.astype(np.int64),
         primitive_vertex=level.primitive_vertex.astype(np.int64), primitive_material=_renumbered(material, materials),
         mesh_primitive=mesh_primitive.astype(np.int64), object_mesh=mesh,
         object_matrix=np.ascontiguousarray(level.object_matrix[order]), object_box=level.object_box[order],
         object_triangles=triangles[order], object_calls=calls[order],
         object_bytes=(VERTEX_BYTES * vertices + TRIANGLE_BYTES * triangles[order]).astype(np.int64),
-        object_replaceable=~mesh_blended[mesh], object_name=tuple(level.object_name[o] for o in order.tolist()),
+        object_replaceable=object_look & kept == 0, object_look=object_look,
+        object_name=tuple(level.object_name[o] for o in order.tolist()),
         material_base_color=f32([r.base_color for r in rows], 4), material_emissive=f32([r.emissive for r in rows], 3),
+        material_unlit=np.array([r.unlit for r in rows], dtype=np.bool_),
         material_alpha_mode=np.array([r.alpha_mode for r in rows], dtype=np.uint8),
         material_alpha_cutoff=np.array([r.alpha_cutoff if r.alpha_mode == MASK else 0.5 for r in rows], np.float32),
         material_double_sided=np.array([r.double_sided for r in rows], dtype=np.bool_),
-        material_texture=_renumbered(used, textures), material_name=tuple(r.name for r in rows),
+        material_texture=_renumbered(used[:, 0], textures),
+        material_emissive_texture=_renumbered(used[:, 1], textures), material_name=tuple(r.name for r in rows),
         texture_byte=np.concatenate([[0], np.cumsum([len(i.data) for i in images], dtype=np.int64)]).astype(np.int64),
         texture_data=np.frombuffer(b"".join(i.data for i in images), dtype=np.uint8),
         texture_wrap=np.array([i.wrap for i in images], dtype=np.int32).reshape(-1, 2),
         texture_linear=np.array([i.linear for i in images], dtype=np.bool_),
+        texture_smooth=np.array([i.smooth for i in images], dtype=np.bool_),
         dropped_triangles=level.dropped_triangles, warnings=tuple(level.warnings), notice=level.notice,
     )  # fmt: skip
 

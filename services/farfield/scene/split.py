@@ -70,6 +70,7 @@ def _rebuild(level: Level, pieces: dict[int, list[np.ndarray]]) -> None:
         mesh_primitive.append(len(parts))
     object_mesh = number[level.object_mesh[kept]].tolist()
     matrices, names = [level.object_matrix[o] for o in kept], [level.object_name[o] for o in kept]
+    looks = level.object_look[kept].tolist()
     first_mesh: dict[int, int] = {}  # of the pieces of a list
     for o in sorted(pieces):
         found = pieces[o]
@@ -83,12 +84,14 @@ def _rebuild(level: Level, pieces: dict[int, list[np.ndarray]]) -> None:
             object_mesh.append(first_mesh[id(found)] + k)
             matrices.append(level.object_matrix[o])
             names.append(f"{level.object_name[o]} [{k + 1}]")
+            looks.append(level.object_look[o])
     repack(level, np.concatenate(parts), np.concatenate([[0], np.cumsum([len(p) for p in parts])]))
     level.primitive_material = np.array(materials, dtype=np.int32)
     level.mesh_primitive = np.array(mesh_primitive, dtype=np.int64)
     level.object_mesh = np.array(object_mesh, dtype=np.int32)
     level.object_matrix = np.array(matrices)
     level.object_name = names
+    level.object_look = np.array(looks, dtype=np.uint8)
     measure(level)
 
 

@@ -2,7 +2,8 @@
 
 Node i has `extras.object` = i, its name, and its matrix from the mesh to scene metres (origin_m included, float64).
 Shared meshes stay shared; a glTF primitive per primitive; vertex colours where they are not white, texture coordinates
-where the material has a texture; textures embedded as they are. The same scene gives the same bytes.
+where the material has textures (a second set where it addresses its two apart); textures embedded as they are. The same
+scene gives the same bytes.
 
 Coarser levels of a mesh are meshes that no node names: `extras.levels` of the mesh lists them, finer first. A level has
 the mesh's primitives in their order, on the same attribute accessors, with indices of its own.
@@ -43,7 +44,8 @@ def write_glb(scene: Scene, levels: MeshLevels = ()) -> bytes:
     if len(scene.texture_wrap):
         _add_textures(scene, document, buffer)
     bright = ["KHR_materials_emissive_strength"] if (scene.material_emissive > 1.0).any() else []
-    if used := document.get("extensionsRequired", []) + bright:
+    unlit = ["KHR_materials_unlit"] if scene.material_unlit.any() else []
+    if used := document.get("extensionsRequired", []) + bright + unlit:
         document["extensionsUsed"] = used
     document["accessors"] = buffer.accessors
     document["bufferViews"] = buffer.views
@@ -94,7 +96,10 @@ def _meshes(scene: Scene, buffer: _Buffer) -> list[dict[str, Any]]:
     n = len(scene.primitive_material)
     vertex, triangle = scene.primitive_vertex.tolist(), scene.primitive_triangle.tolist()
     materials = scene.primitive_material.tolist()
-    textured = (scene.material_texture[scene.primitive_material] >= 0).tolist()
+    base, glow = (
+        column[scene.primitive_material] >= 0 for column in (scene.material_texture, scene.material_emissive_texture)
+    )
+    textured, apart = (base | glow).tolist(), (base & glow & (len(scene.emissive_uv) > 0)).tolist()
     colored = np.zeros(n, dtype=np.bool_)
     if n:
         colored = np.logical_or.reduceat((scene.color != 1.0).any(1), scene.primitive_vertex[:-1])
@@ -111,14 +116,18 @@ def _meshes(scene: Scene, buffer: _Buffer) -> list[dict[str, Any]]:
     position = buffer.add_view(f32(scene.position), byteStride=12, target=_ARRAY)
     normal = buffer.add_view(f32(scene.normal), byteStride=12, target=_ARRAY)
     uv_rows = [p for p in range(n) if textured[p]]
+    glow_rows = [p for p in range(n) if apart[p]]
     color_rows = [p for p in range(n) if colored[p]]
     gather = lambda a, rows: np.concatenate([a[vertex[p] : vertex[p + 1]] for p in rows])  # noqa: E731
     uv = buffer.add_view(f32(gather(scene.uv, uv_rows)), byteStride=8, target=_ARRAY) if uv_rows else -1
+    glow_uv = (
+        buffer.add_view(f32(gather(scene.emissive_uv, glow_rows)), byteStride=8, target=_ARRAY) if glow_rows else -1
+    )
     color = buffer.add_view(f32(gather(scene.color, color_rows)), byteStride=16, target=_ARRAY) if color_rows else -1
     index_view = {s: buffer.add_view(memoryview(d), target=_ELEMENT) for s, d in index_data.items() if d}
     low = np.minimum.reduceat(scene.position, scene.primitive_vertex[:-1]).astype(np.float64).tolist() if n else []
     high = np.maximum.reduceat(scene.position, scene.primitive_vertex[:-1]).astype(np.float64).tolist() if n else []
-    uv_at = color_at = 0
+    uv_at = glow_at = color_at = 0
     primitives = []
     for p in range(n):
         start, count = vertex[p], vertex[p + 1] - vertex[p]
@@ -129,6 +138,9 @@ def _meshes(scene: Scene, buffer: _Buffer) -> list[dict[str, Any]]:
         if textured[p]:
             attributes["TEXCOORD_0"] = buffer.add_accessor(uv, uv_at, _FLOAT, "VEC2", count)
             uv_at += 8 * count
+        if apart[p]:
+            attributes["TEXCOORD_1"] = buffer.add_accessor(glow_uv, glow_at, _FLOAT, "VEC2", count)
+            glow_at += 8 * count
         if colored[p]:
             attributes["COLOR_0"] = buffer.add_accessor(color, color_at, _FLOAT, "VEC4", count)
             color_at += 16 * count
@@ -184,6 +196,12 @@ def _materials(scene: Scene) -> list[dict[str, Any]]:
             row["emissiveFactor"] = (emissive / strength).tolist()
             if strength > 1.0:
                 row["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
+        if scene.material_emissive_texture[k] >= 0:
+            row["emissiveTexture"] = {"index": int(scene.material_emissive_texture[k])}
+            if scene.material_texture[k] >= 0 and len(scene.emissive_uv):
+                row["emissiveTexture"]["texCoord"] = 1
+        if scene.material_unlit[k]:
+            row.setdefault("extensions", {})["KHR_materials_unlit"] = {}
         if scene.material_alpha_mode[k] == MASK:
             row |= {"alphaMode": "MASK", "alphaCutoff": float(scene.material_alpha_cutoff[k])}
         elif scene.material_alpha_mode[k] == BLEND:
@@ -205,10 +223,9 @@ def _add_textures(scene: Scene, document: dict[str, Any], buffer: _Buffer) -> No
             images[data] = len(document["images"])
             document["images"].append({"bufferView": buffer.add_view(data), "mimeType": mime})
         wrap_s, wrap_t = scene.texture_wrap[x].tolist()
-        linear = bool(scene.texture_linear[x])
         sampler = {
-            "wrapS": wrap_s, "wrapT": wrap_t, "magFilter": 9729 if linear else 9728,
-            "minFilter": 9987 if linear else 9984,
+            "wrapS": wrap_s, "wrapT": wrap_t, "magFilter": 9729 if scene.texture_linear[x] else 9728,
+            "minFilter": 9987 if scene.texture_smooth[x] else 9984,
         }  # fmt: skip
         if sampler not in document["samplers"]:
             document["samplers"].append(sampler)

@@ -56,7 +56,8 @@ def surface() -> Surface:
         base_color=np.ones((1, 4), np.float32), emissive=z((1, 3), np.float32), masked=z(1, bool),
         double_sided=np.ones(1, bool), cutoff=z(1, np.float32), texture=np.full(1, -1, np.int32), level_row=z(1,
         np.int64), level_size=z((0, 2), np.int32), level_byte=z(0, np.int64), texel=z(0, np.uint8), wrap=z((0, 2),
-        np.int32), linear=z(0, bool), decode=z(256), encode=z(255), lights=z((4, 3)),
+        np.int32), linear=z(0, bool), smooth=z(0, bool), emissive_uv=z((1, 2), np.float32), unlit=z(1, bool),
+        emissive_texture=np.full(1, -1, np.int32), decode=z(256), encode=z(255), lights=z((4, 3)),
     )  # fmt: skip
 
 

@@ -271,7 +271,6 @@ BROKEN = {
     "box not finite": (lambda d, g: d["nodes"][0].update(scale=[1e308] * 3, translation=[1e308] * 3), SceneNotFinite),
     "projective matrix": (lambda d, g: d["nodes"].__setitem__(0, {"mesh": 0, "matrix": [1] * 16}), SceneUnreadable),
     "draco": (lambda d, g: d.update(extensionsRequired=["KHR_draco_mesh_compression"]), SceneUnreadable),
-    "meshopt": (lambda d, g: d.update(extensionsRequired=["EXT_meshopt_compression"]), SceneUnreadable),
     "version 1": (lambda d, g: d.update(asset={"version": "1.0"}), SceneUnreadable),
     "unknown mode": (lambda d, g: d["meshes"][0]["primitives"][0].update(mode=17), SceneUnreadable),
     "empty scene": (lambda d, g: d["scenes"][0].update(nodes=[]), SceneEmpty),

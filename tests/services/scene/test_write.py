@@ -18,7 +18,7 @@ def document_of(data):
     return json.loads(data[20 : 20 + length]), data[28 + length :]
 
 
-def assert_same(a: Scene, b: Scene, *, leave_out=("warnings", "dropped_triangles")):
+def assert_same(a: Scene, b: Scene, *, leave_out=("warnings", "dropped_triangles", "object_look")):
     for field in dataclasses.fields(Scene):
         if field.name in leave_out:
             continue
@@ -48,6 +48,24 @@ def small(tmp_path):
 def test_reading_back_gives_the_same_scene(tmp_path):
     scene = small(tmp_path)
     assert_same(scene, back(tmp_path, scene))
+
+
+def test_reading_back_keeps_what_glows_and_what_no_light_falls_on(tmp_path):
+    level = box_level()
+    level.add("textures", {"source": 0})
+    brick, leaf = level.document["materials"]
+    brick |= {"emissiveFactor": [1, 1, 1], "emissiveTexture": {"index": 1, "texCoord": 1}}
+    leaf["extensions"] = {"KHR_materials_unlit": {}}
+    box = level.document["meshes"][0]["primitives"][0]["attributes"]
+    box["TEXCOORD_1"] = level.accessor(np.linspace(0, 1, 16, dtype=np.float32).reshape(8, 2))
+    (tmp_path / "a.glb").write_bytes(level.glb())
+    scene = read_scene(tmp_path / "a.glb", settings=Settings())
+    assert sorted(scene.material_emissive_texture.tolist()) == [-1, 1]
+    assert len(np.unique(scene.emissive_uv, axis=0)) >= 8
+    assert scene.material_unlit.sum() == 1
+    assert_same(scene, back(tmp_path, scene))
+    document, _ = document_of(write_glb(scene))
+    assert "KHR_materials_unlit" in document["extensionsUsed"]
 
 
 def test_reading_back_the_city(tmp_path):
@@ -95,7 +113,8 @@ def test_the_document_keeps_the_rules_of_gltf(tmp_path, make):
             np.testing.assert_array_equal(rows.reshape(-1, 3).min(0), position["min"])
             np.testing.assert_array_equal(rows.reshape(-1, 3).max(0), position["max"])
     used = set(document.get("extensionsUsed", []))
-    assert used == set(document.get("extensionsRequired", [])) | ({"KHR_materials_emissive_strength"} & used)
+    optional = {"KHR_materials_emissive_strength", "KHR_materials_unlit"}
+    assert used == set(document.get("extensionsRequired", [])) | (optional & used)
     for key in ("textures", "images", "samplers"):
         assert document.get(key) != []
 

@@ -1,5 +1,10 @@
 /** Made by scripts/make_api_types.py from the API's OpenAPI document. Do not edit. */
 
+export interface BakeSettings {
+  flatten?: "none" | "shine" | "all";
+  page_format?: "webp" | "png" | "ktx2";
+}
+
 export interface CameraSettings {
   fov_deg?: number;
   width?: number;
@@ -120,6 +125,7 @@ export interface Settings {
   detail?: DetailSettings;
   visibility?: VisibilitySettings;
   placement?: PlacementSettings;
+  bake?: BakeSettings;
 }
 
 export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "bound" | "placementdb" | "evaluation";
@@ -168,6 +174,7 @@ export type Route =
   | "GET /v1/scenes/{digest}"
   | "HEAD /v1/scenes/{digest}"
   | "GET /v1/scenes/{digest}/objects"
+  | "GET /v1/scenes/{digest}/picture"
   | "DELETE /v1/session"
   | "GET /v1/session"
   | "POST /v1/session";

@@ -155,7 +155,11 @@ export class LevelMesh {
     const color = from.color ?? new THREE.Color(1, 1, 1);
     if (map) map.updateMatrix();
     const defines: Record<string, string> = {};
+    const glow = from.emissiveMap ?? null;
     if (map) defines.TEXTURED = "";
+    if (glow) defines.GLOWING = "";
+    if (glow?.channel === 1) defines.GLOW_APART = "";
+    if ((source as THREE.MeshBasicMaterial).isMeshBasicMaterial) defines.UNLIT = "";
     if (from.side === THREE.DoubleSide) defines.TWO_SIDED = "";
     if (from.transparent) defines.BLENDED = "";
     const colors = geometry.getAttribute("color");
@@ -169,6 +173,7 @@ export class LevelMesh {
         u_emissive: { value: new THREE.Vector3(emissive.r, emissive.g, emissive.b) },
         u_cutoff: { value: from.alphaTest },
         u_map: { value: map },
+        u_glow: { value: glow },
         u_uv_transform: { value: map ? map.matrix : new THREE.Matrix3() },
       },
     });

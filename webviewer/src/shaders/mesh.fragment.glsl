@@ -2,11 +2,13 @@
 in vec3 v_normal;
 in vec4 v_color;
 in vec2 v_uv;
+in vec2 v_glow_uv;
 
 uniform vec4 u_base;
 uniform vec3 u_emissive;
 uniform float u_cutoff; // 0: opaque
 uniform sampler2D u_map;
+uniform sampler2D u_glow;
 uniform vec3 u_sun_direction;
 uniform vec3 u_sun;
 uniform vec3 u_sky;
@@ -21,12 +23,20 @@ void main() {
   base *= texture(u_map, v_uv); // an sRGB texture: decoded by the sampler
 #endif
   if (u_cutoff > 0.0 && base.a < u_cutoff) discard;
+  vec3 emissive = u_emissive;
+#ifdef GLOWING
+  emissive *= texture(u_glow, v_glow_uv).rgb; // sRGB as well
+#endif
+#ifdef UNLIT
+  vec3 light = vec3(1.0);
+#else
   vec3 n = normalize(v_normal);
 #ifdef TWO_SIDED
   if (!gl_FrontFacing) n = -n;
 #endif
   vec3 light = u_ground + (u_sky - u_ground) * ((n.y + 1.0) / 2.0) + u_sun * max(0.0, dot(n, u_sun_direction));
-  vec3 color = clamp(base.rgb * light + u_emissive, 0.0, 1.0); // linear: the target encodes
+#endif
+  vec3 color = clamp(base.rgb * light + emissive, 0.0, 1.0); // linear: the target encodes
 #ifdef BLENDED
   float alpha = base.a;
 #else

@@ -2,6 +2,10 @@
 out vec3 v_normal;
 out vec4 v_color;
 out vec2 v_uv;
+out vec2 v_glow_uv;
+#ifdef GLOW_APART
+in vec2 uv1;
+#endif
 
 uniform mat3 u_uv_transform;
 
@@ -19,6 +23,13 @@ void main() {
   v_uv = (u_uv_transform * vec3(uv, 1.0)).xy;
 #else
   v_uv = vec2(0.0);
+#endif
+#if defined(GLOW_APART)
+  v_glow_uv = uv1;
+#elif defined(GLOWING)
+  v_glow_uv = uv;
+#else
+  v_glow_uv = vec2(0.0);
 #endif
   // modelViewMatrix was multiplied in float64 on the CPU: far coordinates do not shake.
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);

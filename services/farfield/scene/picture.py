@@ -1,0 +1,83 @@
+"""A small picture of a level from straight above: x to the right, z down, the highest surface at each pixel.
+
+For a page that asks "is this the level that I meant?" before a job is paid for: no more. Colours are a material's, times its
+texture's mean; alpha is not looked at. Drawn at twice its size and averaged.
+Work is bounded: a level that would need more than MOST_LOOKED pixel tests has no picture, however it is built.
+"""
+
+import io
+import math
+
+import numpy as np
+from PIL import Image
+
+from farfield.scene.model import Scene
+from farfield.scene.picture_kernels import draw_from_above
+from farfield.scene.raw import linear_from_srgb
+
+SIDE_PX = 512  # of the longer side
+OVERSAMPLED = 2
+MOST_LOOKED = 1 << 31  # some seconds of one core
+MOST_TEXTURE_PIXELS = 1 << 26  # decoded for their mean
+_BACKGROUND = np.array([0.93, 0.93, 0.93])
+
+
+def picture_from_above(scene: Scene) -> bytes | None:
+    """Return the picture as PNG (sRGB, RGB, SIDE_PX along the longer side), None where it would take too long."""
+    low, high = scene.object_box[:, 0].min(0), scene.object_box[:, 1].max(0)
+    extent = float(max(high[0] - low[0], high[2] - low[2]))
+    scale = SIDE_PX * OVERSAMPLED / extent if extent > 0 else 1.0
+    if not math.isfinite(scale):
+        return None
+    sides = [max(1, math.ceil(float(high[axis] - low[axis]) * scale / OVERSAMPLED)) * OVERSAMPLED for axis in (2, 0)]
+    height = np.full(sides, -np.inf)
+    image = np.broadcast_to(_BACKGROUND, (*sides, 3)).copy()
+    colors = _triangle_colors(scene)
+    left = MOST_LOOKED
+    for o in range(scene.n_objects):
+        first, last = scene.mesh_primitive[scene.object_mesh[o]], scene.mesh_primitive[scene.object_mesh[o] + 1]
+        triangles = scene.primitive_triangle[[first, last]]
+        looked = draw_from_above(
+            scene.position, scene.index, triangles, scene.object_matrix[o], colors, low[0], low[2], scale, height, image,
+            left,
+        )  # fmt: skip
+        if looked < 0:
+            return None
+        left -= looked
+    small = image.reshape(sides[0] // OVERSAMPLED, OVERSAMPLED, sides[1] // OVERSAMPLED, OVERSAMPLED, 3).mean((1, 3))
+    out = io.BytesIO()
+    Image.fromarray(_srgb_bytes(small)).save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def _triangle_colors(scene: Scene) -> np.ndarray:
+    """(T,3) f32 linear: base colour, the texture's mean and the mean of the corners' colours, multiplied."""
+    means = _texture_means(scene)
+    base = scene.material_base_color[:, :3] * means[scene.material_texture]
+    of_triangle = np.repeat(scene.primitive_material, np.diff(scene.primitive_triangle))
+    corners = scene.color[:, :3].take(scene.index[:, 0], axis=0)
+    for k in (1, 2):
+        corners = corners + scene.color[:, :3].take(scene.index[:, k], axis=0)
+    return np.asarray(base[of_triangle] * (corners / np.float32(3.0)), dtype=np.float32)
+
+
+def _texture_means(scene: Scene) -> np.ndarray:
+    """(X+1,3) f32 linear means; the last row, where an index of -1 ends, is white."""
+    n = len(scene.texture_byte) - 1
+    means, left = np.ones((n + 1, 3), dtype=np.float32), MOST_TEXTURE_PIXELS
+    for x in range(n):
+        data = scene.texture_data[scene.texture_byte[x] : scene.texture_byte[x + 1]]
+        with Image.open(io.BytesIO(data.tobytes())) as opened:
+            pixels = opened.width * opened.height
+            if pixels > left:
+                continue
+            left -= pixels
+            small = opened.convert("RGB").resize((8, 8), Image.Resampling.BOX)
+        means[x] = linear_from_srgb(np.asarray(small, dtype=np.float64) / 255.0).mean((0, 1))
+    return means
+
+
+def _srgb_bytes(linear: np.ndarray) -> np.ndarray:
+    value = np.clip(linear, 0.0, 1.0)
+    curved = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * curved).astype(np.uint8)
