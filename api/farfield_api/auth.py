@@ -82,3 +82,13 @@ def require(scope: str) -> Callable[[Request, State], Caller]:
 Reader = Annotated[Caller, Depends(require("read"))]
 Submitter = Annotated[Caller, Depends(require("submit"))]
 Admin = Annotated[Caller, Depends(require("admin"))]
+
+
+def operator(caller: Admin) -> Caller:
+    """Return the caller where it may see the whole service. Raises ScopeMissing."""
+    if not caller.operator:
+        raise ScopeMissing("admin, with a key of the operator's tenant")
+    return caller
+
+
+Operator = Annotated[Caller, Depends(operator)]

@@ -23,6 +23,14 @@ class EventPoller:
         self._watched: dict[str, set[asyncio.Event]] = {}
         self._known: dict[str, int] = {}
         self._any = asyncio.Event()
+        self.closing = False
+
+    def close(self) -> None:
+        """End all streams: the process is about to stop, and their clients take them up again elsewhere."""
+        self.closing = True
+        for watching in self._watched.values():
+            for changed in watching:
+                changed.set()
 
     async def run(self) -> None:
         """Look for news for as long as somebody watches; runs until cancelled."""
@@ -56,9 +64,11 @@ class EventPoller:
                 self._any.clear()
 
     async def follow(self, job_id: str, after: int) -> AsyncIterator[dict[str, Any] | None]:
-        """Yield the job's events above number `after` until its last one; None now and then, to keep the line open."""
+        """Yield the job's events above number `after` until its last one, or until `close`; None now and then, to keep the
+        line open.
+        """
         with self.watch(job_id) as changed:
-            while True:
+            while not self.closing:
                 changed.clear()
                 found = await run_in_threadpool(self._after, job_id, after)
                 for event in found:
@@ -66,7 +76,7 @@ class EventPoller:
                     yield event
                     if event["kind"] == "job" and event["data"].get("state") in ENDED:
                         return
-                if len(found) < PAGE:
+                if len(found) < PAGE and not self.closing:
                     try:
                         await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S)
                     except TimeoutError:

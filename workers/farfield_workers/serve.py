@@ -68,7 +68,7 @@ def first_key(engine: sa.Engine, path: Path) -> tuple[str, bool]:
         key = path.read_text().strip()
         if tenants.caller_of_key(engine, key) is not None:
             return key, False
-    tenant_id = tenants.create_tenant(engine, "default")
+    tenant_id = tenants.create_tenant(engine, "default", operator=True)
     key = tenants.create_key(engine, tenant_id, "made on first start", ("read", "submit", "admin"))
     _write_private(path, key + "\n")
     return key, True
