@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
-from farfield.store.artifacts import LocalArtifacts
+from farfield.store.artifacts import open_artifacts
 from farfield.store.engine import open_engine
 from fastapi import FastAPI
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -26,7 +26,8 @@ def make_app(settings: ApiSettings) -> FastAPI:
     """Return the app. It opens the database, and neither makes nor migrates it."""
     engine = open_engine(settings.database_url)
     state = State(
-        settings=settings, engine=engine, artifacts=LocalArtifacts(settings.artifacts),
+        settings=settings, engine=engine,
+        artifacts=open_artifacts(settings.artifacts, cache=settings.cache, cache_bytes=settings.cache_bytes),
         queue=Queue(settings.broker_url, engine), poller=EventPoller(engine, settings.poll_s),
     )  # fmt: skip
 

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from farfield.store.artifacts import CACHE_BYTES
+
 INSPECT = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
 CALIBRATE = (sys.executable, "-m", "farfield.cli.main", "calibrate", "--json")
 
@@ -19,18 +21,24 @@ class ApiSettings:
 
     database_url: str
     broker_url: str
-    artifacts: Path
+    artifacts: str | Path  # a folder, or s3://bucket/prefix
     secret: str  # signs sessions; the same for all API processes of a service
     web: Path  # the built pages
     placements: Mapping[str, Path] = field(default_factory=dict)  # name -> a folder written by `farfield place`
     hosts: tuple[str, ...] = ("*",)  # names under which we answer; guards a loopback service against DNS rebinding
     max_scene_bytes: int = 4 << 30
+    uploads: Path | None = None  # where files wait for their other bytes, shared by all API hosts; None: beside `tmp`
+    upload_s: float = 3 * 86400.0  # how long one waits for its next bytes
+    open_uploads: int = 64  # of a tenant
+    stall_s: float = 60.0  # a body that brings hardly a byte for so long is ended
     inspect_memory_bytes: int = 8 << 30
     inspect_seconds: int = 300
     inspect_command: tuple[str, ...] = INSPECT  # prints what it reads of the file named last, as JSON
     calibrate_command: tuple[str, ...] = CALIBRATE  # prints the profile of the samples in the file named last, as JSON
     session_s: int = 12 * 3600
     poll_s: float = 0.25  # how often the streams look for new events
+    cache: Path | None = None  # where copies of remote artifacts lie; None: ~/.cache/farfield
+    cache_bytes: int = CACHE_BYTES
 
 
 def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings:
@@ -40,14 +48,18 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
     return ApiSettings(
         database_url=environment["FARFIELD_DATABASE_URL"],
         broker_url=environment["FARFIELD_BROKER_URL"],
-        artifacts=Path(environment["FARFIELD_ARTIFACTS"]),
+        artifacts=environment["FARFIELD_ARTIFACTS"],
         secret=environment.get("FARFIELD_SECRET") or secrets.token_hex(32),
         web=Path(web),
         placements={name: Path(folder) for name, folder in named.items()},
         hosts=tuple(environment.get("FARFIELD_HOSTS", "*").split(",")),
         max_scene_bytes=int(environment.get("FARFIELD_MAX_SCENE_BYTES", 4 << 30)),
+        uploads=Path(environment["FARFIELD_UPLOADS"]) if "FARFIELD_UPLOADS" in environment else None,
+        upload_s=float(environment.get("FARFIELD_UPLOAD_SECONDS", 3 * 86400)),
         inspect_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
         inspect_command=tuple(shlex.split(environment.get("FARFIELD_INSPECT", ""))) or INSPECT,
         calibrate_command=tuple(shlex.split(environment.get("FARFIELD_CALIBRATE", ""))) or CALIBRATE,
         inspect_seconds=int(environment.get("FARFIELD_INSPECT_SECONDS", 300)),
+        cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
+        cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import sqlalchemy as sa
-from farfield.store.artifacts import LocalArtifacts
+from farfield.store.artifacts import Artifacts
 from fastapi import Depends, Request
 
 from farfield_api.queue import Queue
@@ -16,7 +16,7 @@ from farfield_api.streams import EventPoller
 class State:
     settings: ApiSettings
     engine: sa.Engine
-    artifacts: LocalArtifacts
+    artifacts: Artifacts
     queue: Queue
     poller: EventPoller
 

@@ -8,7 +8,7 @@ Use      Artifacts that stages hand to each other, and the chunks of the placeme
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -206,3 +206,24 @@ def unpack_files(buffer: Any, *, where: str = "buffer") -> Iterable[tuple[str, m
     data = columns["data"].data
     for name, start, stop in zip(names, columns["row"][:-1], columns["row"][1:], strict=True):
         yield name, data[int(start) : int(stop)]
+
+
+def files_table(read: Callable[[int, int], bytes], *, where: str = "buffer") -> dict[str, tuple[int, int]]:
+    """Return name -> [start, stop) in bytes of what `files_parts` wrote, of which `read(start, stop)` gives any part.
+
+    For containers that are far away: it asks for their table only. Raises NotColumns, ColumnsTooNew, ColumnsAltered.
+    """
+    front = read(0, 16)
+    if len(front) < 16 or front[:8] != MAGIC:
+        raise NotColumns(where)
+    version, length = (int.from_bytes(front[i : i + 4], "little") for i in (8, 12))
+    if version != FORMAT_VERSION:
+        raise ColumnsTooNew(where, version, FORMAT_VERSION)
+    try:
+        head = json.loads(read(16, 16 + length))
+        names, column = head["meta"]["names"], {c["name"]: c for c in head["columns"]}
+        at, start = int(column["row"]["offset"]), int(column["data"]["offset"])
+        rows = np.frombuffer(read(at, at + 8 * (len(names) + 1)), "<i8")
+        return {name: (start + int(a), start + int(b)) for name, a, b in zip(names, rows[:-1], rows[1:], strict=True)}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ColumnsAltered(where, "it is not a container of files") from error

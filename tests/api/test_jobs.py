@@ -206,14 +206,17 @@ def test_a_job_is_accepted_while_the_broker_is_away(service):
     assert row.state == "queued"
 
 
-def test_deleting_a_job_frees_its_unpacked_files_too(service, worker):
+def test_reading_a_placement_leaves_no_file_and_deleting_its_job_frees_all(service, worker):
     job = service.create()
     worker()
+    before = sorted(service.settings.artifacts.rglob("*"))
     assert service.client.get(f"/v1/placements/{job}/manifest.json").status_code == 200
-    unpacked = service.settings.artifacts / "unpacked"
-    assert len(list(unpacked.iterdir())) == 1
-    assert service.client.delete(f"/v1/jobs/{job}").json()["deleted"]
-    assert list(unpacked.iterdir()) == []
+    assert sorted(service.settings.artifacts.rglob("*")) == before
+    n_bytes = service.client.delete(f"/v1/jobs/{job}").json()["bytes"]
+    gone = [p for p in before if not p.exists()]
+    assert n_bytes > 0
+    assert gone
+    assert service.client.get(f"/v1/placements/{job}/manifest.json").status_code == 404
 
 
 def test_the_list_of_jobs_shows_what_their_reports_say(service, worker):

@@ -13,7 +13,7 @@ from celery import Celery
 from celery.signals import worker_process_init
 from farfield.stages import RUN_SHARD
 from farfield.store import progress
-from farfield.store.artifacts import LocalArtifacts
+from farfield.store.artifacts import Artifacts, open_artifacts
 from farfield.store.engine import open_engine
 from farfield.store.progress import Message
 from kombu.exceptions import OperationalError
@@ -41,8 +41,8 @@ def pipeline() -> Pipeline:
 
 
 @functools.cache
-def artifacts() -> LocalArtifacts:
-    return LocalArtifacts(settings().artifacts)
+def artifacts() -> Artifacts:
+    return open_artifacts(settings().artifacts, cache=settings().cache, cache_bytes=settings().cache_bytes)
 
 
 app = Celery("farfield", broker=settings().broker_url)

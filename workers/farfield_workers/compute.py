@@ -52,9 +52,9 @@ class Result:
     peak_bytes: int
 
 
-def inputs_of(call: Call, *, mapped: bool) -> Inputs:
-    """Return what the stage sees; without its artifacts where only the key is wanted."""
-    artifacts = {Stage(s): map_file(Path(path)) for s, path in call.artifacts.items()} if mapped else {}
+def inputs_of(call: Call) -> Inputs:
+    """Return what the stage sees."""
+    artifacts = {Stage(s): map_file(Path(path)) for s, path in call.artifacts.items()}
     digests = {Stage(s): digest for s, digest in call.digests.items()}
     checkpoint = Path(call.checkpoint) if call.checkpoint is not None else None
     return Inputs(from_mapping(call.settings), artifacts, digests, Path(call.scene_file), checkpoint)
@@ -63,7 +63,7 @@ def inputs_of(call: Call, *, mapped: bool) -> Inputs:
 def compute(pipeline: Pipeline, call: Call, out: Path) -> Result:
     """Run the shard and write its artifact to `out`. Raises what the stage raises."""
     reset_peak()
-    inputs = inputs_of(call, mapped=True)
+    inputs = inputs_of(call)
     parts: Sequence[bytes | memoryview]
     if call.kind == "report":
         runs = [StageRun(**{k: v for k, v in o.items() if k != "state"}) for o in call.outcomes]

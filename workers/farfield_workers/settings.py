@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from farfield.store.artifacts import CACHE_BYTES
+
 THE_PIPELINE = "farfield_workers.table:PIPELINE"
 
 
@@ -15,13 +17,15 @@ class WorkerSettings:
 
     database_url: str
     broker_url: str
-    artifacts: Path
+    artifacts: str | Path  # a folder, or s3://bucket/prefix
     worker: str  # our name in the table `shard`
     pipeline: str  # module:attribute
     lease_s: float
     renew_s: float  # how often a lease is renewed, and how soon a cancel is noticed
     scene_memory_bytes: int  # address space of the process that parses a scene
     scene_seconds: int
+    cache: Path | None = None  # where copies of remote artifacts lie; None: ~/.cache/farfield
+    cache_bytes: int = CACHE_BYTES
 
 
 def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSettings:
@@ -29,11 +33,13 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSetti
     return WorkerSettings(
         database_url=environment["FARFIELD_DATABASE_URL"],
         broker_url=environment["FARFIELD_BROKER_URL"],
-        artifacts=Path(environment["FARFIELD_ARTIFACTS"]),
+        artifacts=environment["FARFIELD_ARTIFACTS"],
         worker=environment.get("FARFIELD_WORKER", f"{socket.gethostname()}:{os.getpid()}"),
         pipeline=environment.get("FARFIELD_PIPELINE", THE_PIPELINE),
         lease_s=float(environment.get("FARFIELD_LEASE_S", 60)),
         renew_s=float(environment.get("FARFIELD_RENEW_S", 5)),
         scene_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
         scene_seconds=int(environment.get("FARFIELD_SCENE_SECONDS", 900)),
+        cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
+        cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
     )

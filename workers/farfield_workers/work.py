@@ -11,22 +11,22 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import sqlalchemy as sa
 from farfield.errors import FarfieldError, StageFailed
-from farfield.pipeline import shard_key
+from farfield.pipeline import Inputs, shard_key
 from farfield.settings import from_mapping
 from farfield.stages import Stage
 from farfield.store import progress, shards
-from farfield.store.artifacts import LocalArtifacts
+from farfield.store.artifacts import Artifacts
 from farfield.store.progress import Message
 from farfield.store.shards import Claim
 
-from farfield_workers.compute import Call, Result, compute, compute_isolated, inputs_of
+from farfield_workers.compute import Call, Result, compute, compute_isolated
 from farfield_workers.settings import WorkerSettings
 from farfield_workers.table import Pipeline
 
@@ -38,7 +38,7 @@ class ShardStopped(BaseException):
 
 
 def work(
-    engine: sa.Engine, artifacts: LocalArtifacts, pipeline: Pipeline, settings: WorkerSettings, shard_id: str
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, shard_id: str
 ) -> list[Message]:
     """Run the shard if it is to be run, and return the messages to send."""
     held = shards.claim(engine, shard_id, worker=settings.worker, lease_s=settings.lease_s)
@@ -62,25 +62,23 @@ def work(
     return progress.advance(engine, artifacts, held.job_id, pipeline.kinds())
 
 
-def _run(
-    engine: sa.Engine, artifacts: LocalArtifacts, pipeline: Pipeline, settings: WorkerSettings, held: Claim
-) -> None:
+def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, held: Claim) -> None:
     started = time.perf_counter()
-    with _leased(engine, held, settings), TemporaryDirectory(dir=artifacts.temporary, prefix="shard-") as folder:
-        scene_file = Path(folder) / f"scene{held.scene_suffix}"
-        os.link(artifacts.path(held.scene_digest), scene_file)
-        call = _call(artifacts, held, pipeline, scene_file)
-        key = _key(pipeline, held, call)
-        # Written by whoever runs the shard, under the name of all that shapes its result: it needs no fence.
-        checkpoint = artifacts.checkpoints / key.replace(":", "-") if key is not None else None
-        call = replace(call, checkpoint=str(checkpoint) if checkpoint is not None else None)
+    key = _key(pipeline, held)
+    # Written by whoever runs the shard, under the name of all that shapes its result: it needs no fence.
+    checkpoint = key.replace(":", "-") if key is not None else None
+    with _leased(engine, held, settings), ExitStack() as until_done:
+        folder = Path(until_done.enter_context(TemporaryDirectory(dir=artifacts.temporary, prefix="shard-")))
         known = shards.known_result(engine, key) if key is not None else None
         if known is not None and artifacts.has(known.artifact_digest):
             found = Result(known.artifact_digest, artifacts.n_bytes(known.artifact_digest), known.peak_bytes or 0)
             seconds, cached = known.seconds or 0.0, True
         else:
-            found = _compute(pipeline, settings, call, Path(folder) / "artifact")
-            artifacts.put_file(Path(folder) / "artifact", found.digest)
+            call = _call(artifacts, held, pipeline, folder, until_done)
+            if checkpoint is not None:
+                call = replace(call, checkpoint=str(until_done.enter_context(artifacts.checkpoint(checkpoint))))
+            found = _compute(pipeline, settings, call, folder / "artifact")
+            artifacts.put_file(folder / "artifact", found.digest)
             seconds, cached = time.perf_counter() - started, False
 
     def there() -> None:
@@ -88,7 +86,7 @@ def _run(
             raise StageFailed(held.stage, "its result was deleted with another job")
 
     # What a clock may have stopped is no other job's: it has no key, and its checkpoint stays for who has more time.
-    timed = not cached and _timed(pipeline, call)
+    timed = not cached and _timed(pipeline, held)
     ours = shards.commit(
         engine, held, digest=found.digest, n_bytes=found.n_bytes, key=None if timed else key, seconds=seconds,
         peak_bytes=found.peak_bytes, cached=cached, check=there,
@@ -96,11 +94,11 @@ def _run(
     if not ours:
         raise ShardStopped
     if checkpoint is not None and not timed:
-        checkpoint.unlink(missing_ok=True)
+        artifacts.drop_checkpoint(checkpoint)
 
 
-def _timed(pipeline: Pipeline, call: Call) -> bool:
-    return call.kind in ("run", "merge") and pipeline.steps[Stage(call.stage)].timed(from_mapping(call.settings))
+def _timed(pipeline: Pipeline, held: Claim) -> bool:
+    return held.kind in ("run", "merge") and pipeline.steps[Stage(held.stage)].timed(from_mapping(held.settings))
 
 
 def _compute(pipeline: Pipeline, settings: WorkerSettings, call: Call, out: Path) -> Result:
@@ -111,21 +109,33 @@ def _compute(pipeline: Pipeline, settings: WorkerSettings, call: Call, out: Path
     return compute(pipeline, call, out)
 
 
-def _call(artifacts: LocalArtifacts, held: Claim, pipeline: Pipeline, scene_file: Path) -> Call:
+def _call(artifacts: Artifacts, held: Claim, pipeline: Pipeline, folder: Path, until_done: ExitStack) -> Call:
+    """Return the shard with the files that it reads; they stay there until the stack ends."""
+
+    def local(digest: str) -> str:
+        return str(until_done.enter_context(artifacts.local(digest)))
+
+    scene_file = folder / f"scene{held.scene_suffix}"
+    if held.stage == Stage.SCENE:  # nobody else reads it
+        os.link(local(held.scene_digest), scene_file)
     reads = held.artifacts if held.kind == "report" else map(str, pipeline.steps[Stage(held.stage)].inputs)
     return Call(
         stage=held.stage, kind=held.kind, params=held.params, settings=held.settings, scene_file=str(scene_file),
-        artifacts={s: str(artifacts.path(held.artifacts[s])) for s in reads},
-        digests={str(Stage.SCENE): held.scene_digest, **held.artifacts},
-        pieces=[str(artifacts.path(digest)) for digest in held.pieces], outcomes=held.outcomes,
+        artifacts={s: local(held.artifacts[s]) for s in reads}, digests=_digests(held),
+        pieces=[local(digest) for digest in held.pieces], outcomes=held.outcomes,
     )  # fmt: skip
 
 
-def _key(pipeline: Pipeline, held: Claim, call: Call) -> str | None:
+def _digests(held: Claim) -> dict[str, str]:
+    return {str(Stage.SCENE): held.scene_digest, **held.artifacts}
+
+
+def _key(pipeline: Pipeline, held: Claim) -> str | None:
     if held.kind == "report":
         return None  # it holds timings: never taken over
     shard = held.params if held.kind == "run" else held.kind
-    return f"{held.kind}:{shard_key(pipeline.steps[Stage(held.stage)], inputs_of(call, mapped=False), shard)}"
+    inputs = Inputs(from_mapping(held.settings), {}, {Stage(s): digest for s, digest in _digests(held).items()})
+    return f"{held.kind}:{shard_key(pipeline.steps[Stage(held.stage)], inputs, shard)}"
 
 
 def _told(error: Exception, stage: str) -> dict[str, str]:

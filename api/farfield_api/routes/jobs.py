@@ -2,7 +2,6 @@
 
 import base64
 import json
-import shutil
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
@@ -19,7 +18,6 @@ from starlette.concurrency import run_in_threadpool
 from farfield_api.auth import Reader, Submitter
 from farfield_api.errors import RESPONSES, CursorInvalid
 from farfield_api.routes.devices import with_device
-from farfield_api.routes.placements import unpacked_folder
 from farfield_api.state import Service, State
 from farfield_api.times import iso
 
@@ -96,11 +94,7 @@ def retry(job_id: str, caller: Submitter, service: Service) -> dict[str, Any]:
 
 @router.delete("/{job_id}", summary="Delete an ended job with what only it needs; `dry_run` says what that is")
 def delete(job_id: str, caller: Submitter, service: Service, dry_run: bool = False) -> dict[str, Any]:
-    def remove(digest: str) -> None:
-        service.artifacts.remove(digest)
-        shutil.rmtree(unpacked_folder(service.artifacts, digest), ignore_errors=True)
-
-    counts, _ = jobs.delete(service.engine, caller.tenant_id, job_id, dry_run=dry_run, remove=remove)
+    counts, _ = jobs.delete(service.engine, caller.tenant_id, job_id, dry_run=dry_run, remove=service.artifacts.remove)
     return {"deleted": not dry_run, **counts}
 
 

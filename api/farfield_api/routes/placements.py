@@ -1,29 +1,25 @@
 """The files that viewer and tools read: manifest, chunks, pages, scene.glb, report.json; ranges, strong ETags, caching.
 
-A job's placement is one artifact, a container of files: it is unpacked once, below its digest, when first asked for.
+A job's placement is one artifact, a container of files: each is a range of it, streamed from the store (`slices`).
 A folder registered with `farfield serve --placement` is served as it lies. Either way the address is
 /v1/placements/NAME/manifest.json, /v1/placements/NAME/scene.glb, /v1/placements/NAME/report.json.
 """
 
 import hashlib
-import os
 import re
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
-from farfield.columns import unpack_files
 from farfield.errors import JobNotFinished, JobNotFound, PlacementNotFound
 from farfield.stages import Stage
 from farfield.store import jobs
-from farfield.store.artifacts import LocalArtifacts, sync_folder
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
 from farfield_api.auth import Reader
 from farfield_api.errors import RESPONSES
 from farfield_api.pages import file_inside
+from farfield_api.slices import files_in, slice_response
 from farfield_api.state import Service, State
 
 router = APIRouter(prefix="/v1/placements", tags=["placements"], responses=RESPONSES)
@@ -43,68 +39,48 @@ def list_placements(caller: Reader, service: Service) -> dict[str, Any]:
 @router.get("/{placement}/{path:path}", response_class=FileResponse, summary="A file of a placement")
 def show(placement: str, path: str, request: Request, caller: Reader, service: Service) -> Response:
     folder = service.settings.placements.get(placement)
-    if folder is not None:
-        found = _inside(folder, path)
-        if found is None:
-            raise PlacementNotFound(placement, path)
-        # The folder may be placed again under the same name; only names that hold a digest never change.
-        caching = IMMUTABLE if re.search("[0-9a-f]{16}", Path(path).name) else "private, no-cache"
-        status = found.stat()
-        source = f"{status.st_mtime_ns}.{status.st_size}.{status.st_ino}"
-    else:
-        try:
-            root, source = unpacked(service, caller.tenant_id, placement)
-        except JobNotFound:
-            raise PlacementNotFound(placement) from None
-        if path == "report.json":
-            row = jobs.get(service.engine, caller.tenant_id, placement)
-            found, source = service.artifacts.path(row.report_digest), row.report_digest
-        else:
-            found = _inside(root, path)
-        if found is None:
-            raise PlacementNotFound(placement, path)
-        caching = IMMUTABLE
-    etag = f'"{hashlib.sha256(f"{source}/{path}".encode()).hexdigest()[:32]}"'
-    headers = {"etag": etag, "cache-control": caching, "vary": "Cookie, Authorization"}
-    if etag in request.headers.get("if-none-match", ""):
+    if folder is None:
+        return _of_job(placement, path, request, caller, service)
+    found = _inside(folder, path)
+    if found is None:
+        raise PlacementNotFound(placement, path)
+    # The folder may be placed again under the same name; only names that hold a digest never change.
+    caching = IMMUTABLE if re.search("[0-9a-f]{16}", Path(path).name) else "private, no-cache"
+    status = found.stat()
+    headers = _headers(f"{status.st_mtime_ns}.{status.st_size}.{status.st_ino}", path, caching)
+    if headers["etag"] in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
-    media_type = TYPES.get(Path(path).suffix, "application/octet-stream")
-    return FileResponse(found, headers=headers, media_type=media_type)
+    return FileResponse(found, headers=headers, media_type=_type(path))
 
 
-def unpacked_folder(artifacts: LocalArtifacts, digest: str) -> Path:
-    """Return where the files of a job's placement lie once they have been asked for."""
-    return artifacts.root / "unpacked" / digest
-
-
-def unpacked(service: State, tenant_id: str, job_id: str) -> tuple[Path, str]:
-    """Return (folder with the job's files, digest of its artifact). Raises JobNotFound, JobNotFinished."""
-    row = jobs.get(service.engine, tenant_id, job_id)
+def _of_job(job_id: str, path: str, request: Request, caller: Reader, service: State) -> Response:
+    try:
+        row = jobs.get(service.engine, caller.tenant_id, job_id)
+    except JobNotFound:
+        raise PlacementNotFound(job_id) from None
     digest = jobs.artifact_of(service.engine, job_id, Stage.PLACEMENTDB)
     if row.state != "done" or digest is None:
         raise JobNotFinished(job_id, row.state)
-    folder = unpacked_folder(service.artifacts, digest)
-    if not folder.is_dir():
-        temporary = Path(tempfile.mkdtemp(dir=service.artifacts.temporary, prefix="unpack-"))
-        try:
-            for name, content in unpack_files(service.artifacts.buffer(digest), where="the placement"):
-                target = temporary / name
-                assert target.resolve().is_relative_to(temporary.resolve()), name
-                target.parent.mkdir(parents=True, exist_ok=True)
-                with target.open("wb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-            folder.parent.mkdir(exist_ok=True)
-            temporary.chmod(0o755)
-            temporary.rename(folder)
-            sync_folder(folder.parent)
-        except OSError:
-            # Another request has unpacked the same files meanwhile: theirs are as good.
-            shutil.rmtree(temporary, ignore_errors=True)
-            if not folder.is_dir():
-                raise
-    return folder, digest
+    if path == "report.json":
+        digest, span = row.report_digest, None
+    else:
+        span = files_in(service.artifacts, digest).get(path if path == "scene.glb" else f"placement/{path}")
+        if span is None:
+            raise PlacementNotFound(job_id, path)
+    headers = _headers(digest, path, IMMUTABLE)
+    if headers["etag"] in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    start, stop = span or (0, service.artifacts.n_bytes(digest))
+    return slice_response(request, service.artifacts, digest, start, stop, media_type=_type(path), headers=headers)
+
+
+def _headers(source: str, path: str, caching: str) -> dict[str, str]:
+    etag = f'"{hashlib.sha256(f"{source}/{path}".encode()).hexdigest()[:32]}"'
+    return {"etag": etag, "cache-control": caching, "vary": "Cookie, Authorization"}
+
+
+def _type(path: str) -> str:
+    return TYPES.get(Path(path).suffix, "application/octet-stream")
 
 
 def _inside(folder: Path, path: str) -> Path | None:

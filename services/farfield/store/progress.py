@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from farfield.stages import Queue
 from farfield.store import events
-from farfield.store.artifacts import LocalArtifacts
+from farfield.store.artifacts import Artifacts
 from farfield.store.engine import new_id, now, write
 from farfield.store.shards import MAX_ATTEMPTS, lock_job
 from farfield.store.tables import job, shard, stage
@@ -39,7 +39,7 @@ class Message:
     queue: str
 
 
-def advance(engine: sa.Engine, artifacts: LocalArtifacts, job_id: str, kinds: Mapping[str, StageKind]) -> list[Message]:
+def advance(engine: sa.Engine, artifacts: Artifacts, job_id: str, kinds: Mapping[str, StageKind]) -> list[Message]:
     """Move the job as far as it goes, and return the messages for the shards that this made ready."""
     while True:
         with write(engine) as tx:
@@ -133,7 +133,7 @@ def forget_sent(engine: sa.Engine) -> None:
 
 
 def _step(
-    tx: sa.Connection, artifacts: LocalArtifacts, job_id: str, kinds: Mapping[str, StageKind]
+    tx: sa.Connection, artifacts: Artifacts, job_id: str, kinds: Mapping[str, StageKind]
 ) -> tuple[bool, list[Message]]:
     """Make one transition. Returns (whether the job moved, messages)."""
     lock_job(tx, job_id)
