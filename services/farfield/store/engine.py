@@ -2,6 +2,8 @@
 
 SQLite   WAL, busy_timeout, and BEGIN IMMEDIATE for every transaction that may write: a deferred BEGIN that upgrades
          later fails with "database is locked" whatever the timeout (76 % of them, with 8 processes).
+PostgreSQL  psycopg 3, READ COMMITTED. Either side takes a silent peer for gone after GONE_S, and a transaction that
+         stands idle for a minute ends: a host that is cut off holds no lock for long.
 Time     `now()` is the database's clock: machines of a fleet disagree, leases must not.
 """
 
@@ -16,6 +18,18 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
 
 BUSY_TIMEOUT_MS = 30_000
+POOL = 5  # connections that a process keeps, and as many more while they are needed: see docs/deployment.md on sizing
+GONE_S = 20  # after which a peer that acknowledges nothing is taken for gone
+_POSTGRES_TCP = {
+    "connect_timeout": 10, "tcp_user_timeout": GONE_S * 1000,
+    "keepalives_idle": GONE_S // 2, "keepalives_interval": 5, "keepalives_count": 2,
+}  # fmt: skip
+_POSTGRES_SESSION = {
+    "tcp_keepalives_idle": GONE_S // 2, "tcp_keepalives_interval": 5, "tcp_keepalives_count": 2,
+    "tcp_user_timeout": GONE_S * 1000,
+    "idle_in_transaction_session_timeout": 60_000,  # of a worker that stopped between two statements
+    "lock_timeout": BUSY_TIMEOUT_MS,
+}  # fmt: skip
 
 
 class now(FunctionElement[float]):  # noqa: N801
@@ -41,11 +55,19 @@ def new_id() -> str:
 
 
 def open_engine(url: str) -> sa.Engine:
-    """Return an engine for `url` ("sqlite:////path/farfield.sqlite" or "postgresql://...")."""
-    engine = sa.create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
-    if engine.dialect.name == "sqlite":
+    """Return an engine for `url` ("sqlite:////path/farfield.sqlite" or "postgresql://user:password@host/database")."""
+    address = sa.make_url(url)
+    if address.drivername in ("postgresql", "postgres"):
+        address = address.set(drivername="postgresql+psycopg")
+    if address.get_backend_name() == "sqlite":
+        engine = sa.create_engine(address)
         sa.event.listen(engine, "connect", _prepare_sqlite)
         sa.event.listen(engine, "begin", _begin_sqlite)
+    else:
+        engine = sa.create_engine(
+            address, pool_pre_ping=True, pool_size=POOL, max_overflow=POOL, connect_args=_POSTGRES_TCP
+        )
+        sa.event.listen(engine, "connect", _prepare_postgres)
     return engine
 
 
@@ -72,6 +94,14 @@ def _prepare_sqlite(connection: sqlite3.Connection, record: Any) -> None:
         "foreign_keys = ON",
     ):
         connection.execute(f"PRAGMA {pragma}")
+
+
+def _prepare_postgres(connection: Any, record: Any) -> None:
+    """Have the server, too, give up on us when we are cut off: else our locks would outlive us by hours."""
+    with connection.cursor() as cursor:
+        for name, value in _POSTGRES_SESSION.items():
+            cursor.execute(f"SET SESSION {name} = {value}")
+    connection.commit()
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:
