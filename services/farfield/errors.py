@@ -20,14 +20,16 @@
     │   ├── JobNotFinished, JobStillRunning, JobNotStopped, IdempotencyConflict,
     │   │   SceneInUse, TenantExists,
     │   │   DeviceExists                                                      exit 3, HTTP 409
-    │   └── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
-    │       └── ArtifactDamaged   its bytes are not what its name says
+    │   ├── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
+    │   │   └── ArtifactDamaged   its bytes are not what its name says
+    │   └── ArtifactLost      ... and cannot be computed again                exit 1, HTTP 500
     ├── QuotaExceeded         the tenant has as much as it may have              exit 3, HTTP 403
     │   └── RunningQuotaExceeded  as many jobs run as may at a time                      HTTP 429
     ├── WebhookError          an address that no webhook may have, or a forged delivery  exit 3, HTTP 422
     │   └── WebhookAddressRefused, SignatureInvalid
     ├── ServiceError          the service cannot start, or does not answer       exit 3
     │   └── StoreUnavailable  the artifact store does not answer                 exit 3, HTTP 503
+    ├── OverMemory            a shard needs more memory than any worker has
     ├── FailedElsewhere       a named error of another process, passed on
     └── StageFailed           a shard failed for good                                exit 1, HTTP 500
 
@@ -387,6 +389,12 @@ class ArtifactDamaged(ArtifactMissing):
         self.digest = digest
 
 
+class ArtifactLost(StoreError):
+    """A blob that should be there is not, or is damaged, and nothing can compute it again."""
+
+    advice = "Upload the scene again, and run the job again; ask the operator to look after the store (farfield fsck)."
+
+
 class QuotaExceeded(FarfieldError):
     """The tenant has as much as it may have."""
 
@@ -430,6 +438,16 @@ class StageFailed(FarfieldError):
     def __init__(self, stage: str, why: str) -> None:
         super().__init__(f"stage {stage} failed: {why}")
         self.stage = stage
+
+
+class OverMemory(FarfieldError):
+    """A shard needs more memory than the workers have."""
+
+    advice = "Use a machine with more memory, or cut the level; FARFIELD_MEMORY_BYTES says what workers may use."
+
+    def __init__(self, need_bytes: int, memory_bytes: int) -> None:
+        need, there = need_bytes / 2**30, memory_bytes / 2**30
+        super().__init__(f"it may need up to {need:.1f} GiB of memory; a worker's machine has {there:.1f} GiB for shards")
 
 
 class FailedElsewhere(FarfieldError):

@@ -8,6 +8,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from farfield.store import webhooks
 from farfield.store.engine import now
 from farfield.store.tables import event, job
 
@@ -25,14 +26,18 @@ def append(connection: sa.Connection, job_id: str, kind: str, data: dict[str, An
             tenant_id=row.tenant_id, job_id=job_id, seq=row.event_seq, kind=kind, data=data, created_at=now()
         )
     )
+    if kind == "job":
+        webhooks.enqueue(connection, job_id, int(row.event_seq), data)
     return int(row.event_seq)
 
 
-def after(connection: sa.Connection, job_id: str, seq: int, limit: int = 500) -> list[dict[str, Any]]:
-    """Return up to `limit` events of the job with a number above `seq`, in order."""
+def after(
+    connection: sa.Connection, job_id: str, seq: int, limit: int = 500, *, kind: str | None = None
+) -> list[dict[str, Any]]:
+    """Return up to `limit` events of the job (of one kind) with a number above `seq`, in order."""
     rows = connection.execute(
         sa.select(event.c.seq, event.c.kind, event.c.data, event.c.created_at)
-        .where(event.c.job_id == job_id, event.c.seq > seq)
+        .where(event.c.job_id == job_id, event.c.seq > seq, event.c.kind == kind if kind is not None else sa.true())
         .order_by(event.c.seq)
         .limit(limit)
     )

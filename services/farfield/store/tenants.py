@@ -5,14 +5,17 @@ A key reads ff_ID_SECRET. The secret is 256 random bits, so a plain SHA-256 keep
 
 import hashlib
 import hmac
+import re
 import secrets
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
 
+from farfield.errors import KeyNotFound, TenantExists, TenantNotFound
 from farfield.store.engine import new_id, now, read, write
+from farfield.store.pages import Cursor, newest_first, owned
 from farfield.store.tables import SCOPES, api_key, login, tenant
 
 LOGIN_S = 7 * 24 * 3600.0
@@ -20,11 +23,13 @@ LOGIN_S = 7 * 24 * 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who a request comes from."""
+    """Who a request comes from, and the tenant that it acts in."""
 
     tenant_id: str
     key_id: str
     scopes: frozenset[str]
+    key_name: str = ""
+    operator: bool = False  # of the operator's tenant
 
 
 def digest_of(secret: str) -> str:
@@ -32,57 +37,117 @@ def digest_of(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def create_tenant(engine: sa.Engine, name: str) -> str:
-    """Return the id of the tenant with this name, made where there is none."""
+def create_tenant(engine: sa.Engine, name: str, *, operator: bool = False) -> str:
+    """Return the id of the tenant with this name, made where there is none; `operator` counts for a new one."""
     with write(engine) as tx:
         found = tx.scalar(sa.select(tenant.c.id).where(tenant.c.name == name))
         if found is None:
             found = new_id()
-            tx.execute(sa.insert(tenant).values(id=found, name=name, created_at=now()))
+            tx.execute(sa.insert(tenant).values(id=found, name=name, is_operator=operator, created_at=now()))
         return str(found)
 
 
-def create_key(engine: sa.Engine, tenant_id: str, name: str, scopes: Collection[str]) -> str:
+def add_tenant(engine: sa.Engine, name: str) -> str:
+    """Return the id of a new tenant. Raises TenantExists."""
+    with write(engine) as tx:
+        if tx.scalar(sa.select(tenant.c.id).where(tenant.c.name == name)) is not None:
+            raise TenantExists(name)
+        tenant_id = new_id()
+        tx.execute(sa.insert(tenant).values(id=tenant_id, name=name, created_at=now()))
+        return tenant_id
+
+
+def get_tenant(engine: sa.Engine, tenant_id: str) -> sa.Row[Any]:
+    """Return the tenant's row. Raises TenantNotFound."""
+    with read(engine) as tx:
+        row = tx.execute(sa.select(tenant).where(tenant.c.id == tenant_id)).one_or_none()
+    if row is None:
+        raise TenantNotFound(tenant_id)
+    return row
+
+
+def page_of_tenants(engine: sa.Engine, *, before: Cursor | None, limit: int) -> list[sa.Row[Any]]:
+    """Return the newest tenants."""
+    with read(engine) as tx:
+        return list(
+            tx.execute(newest_first(sa.select(tenant), tenant.c.created_at, tenant.c.id, before=before, limit=limit))
+        )
+
+
+def create_key(
+    engine: sa.Engine, tenant_id: str, name: str, scopes: Collection[str], *, lifetime_s: float | None = None
+) -> str:
     """Make an API key and return it; it cannot be read again. `scopes`: words of tables.SCOPES."""
     assert set(scopes) <= set(SCOPES)
-    key_id, secret = new_id(), secrets.token_urlsafe(32)
     with write(engine) as tx:
-        tx.execute(
-            sa.insert(api_key).values(
-                id=key_id, tenant_id=tenant_id, name=name, secret_digest=digest_of(secret),
-                scopes=" ".join(s for s in SCOPES if s in scopes), created_at=now(),
-            )
-        )  # fmt: skip
-    return f"ff_{key_id}_{secret}"
+        return _insert_key(tx, tenant_id, name, " ".join(s for s in SCOPES if s in scopes), _after(lifetime_s))
+
+
+def rotate_key(
+    engine: sa.Engine, tenant_id: str, key_id: str, *, grace_s: float, lifetime_s: float | None = None
+) -> str:
+    """Make a key of the same name and scopes and return it; the old one ends after `grace_s`, if not sooner.
+
+    lifetime_s  of the new key; None: as long as the old one was made for. Raises KeyNotFound.
+    """
+    with write(engine) as tx:
+        old = _key(tx, tenant_id, key_id, alive=True)
+        expires_at: Any = _after(lifetime_s)
+        if lifetime_s is None and old.expires_at is not None:
+            expires_at = now() + (old.expires_at - old.created_at)
+        made = _insert_key(tx, old.tenant_id, old.name, old.scopes, expires_at)
+        sooner = api_key.c.expires_at.is_(None) | (api_key.c.expires_at > now() + grace_s)
+        tx.execute(sa.update(api_key).where(api_key.c.id == key_id, sooner).values(expires_at=now() + grace_s))
+        return made
 
 
 def revoke_key(engine: sa.Engine, key_id: str) -> None:
     """End a key, and with it every session made from it."""
     with write(engine) as tx:
-        tx.execute(sa.update(api_key).where(api_key.c.id == key_id).values(revoked_at=now()))
+        gone = (api_key.c.id == key_id) & api_key.c.revoked_at.is_(None)
+        tx.execute(sa.update(api_key).where(gone).values(revoked_at=now()))
+
+
+def get_key(engine: sa.Engine, tenant_id: str, key_id: str) -> sa.Row[Any]:
+    """Return what may be shown of a key of the tenant, whether it still is valid or not. Raises KeyNotFound."""
+    with read(engine) as tx:
+        return _key(tx, tenant_id, key_id)
+
+
+def page_of_keys(engine: sa.Engine, tenant_id: str, *, before: Cursor | None, limit: int) -> list[sa.Row[Any]]:
+    """Return the tenant's newest keys, revoked and expired ones too, without what is stored of their secrets."""
+    with read(engine) as tx:
+        query = sa.select(*_SHOWN).where(owned(api_key.c.tenant_id, tenant_id))
+        return list(tx.execute(newest_first(query, api_key.c.created_at, api_key.c.id, before=before, limit=limit)))
+
+
+def mark_used(engine: sa.Engine, key_ids: Iterable[str]) -> None:
+    """Remember that these keys were used about now."""
+    with write(engine) as tx:
+        tx.execute(sa.update(api_key).where(api_key.c.id.in_(list(key_ids))).values(last_used_at=now()))
 
 
 def has_keys(engine: sa.Engine) -> bool:
     """Say whether any key is valid."""
     with read(engine) as tx:
-        return bool(tx.scalar(sa.select(sa.func.count()).where(api_key.c.revoked_at.is_(None)).select_from(api_key)))
+        return bool(tx.scalar(sa.select(sa.func.count()).where(_alive()).select_from(api_key)))
 
 
 def caller_of_key(engine: sa.Engine, key: str) -> Caller | None:
     """Return who holds `key`, or None. Compares in constant time."""
     prefix, _, rest = key.partition("_")
     key_id, _, secret = rest.partition("_")
-    row = _key_row(engine, key_id)
+    row = _valid_key(engine, key_id)
     expected = row.secret_digest if row is not None else digest_of("")
     if not hmac.compare_digest(digest_of(secret), expected) or row is None or prefix != "ff":
         return None
-    return Caller(row.tenant_id, row.id, frozenset(row.scopes.split()))
+    return _caller(row)
 
 
 def caller_of_id(engine: sa.Engine, key_id: str) -> Caller | None:
-    """Return who a session of this key belongs to, or None where the key is gone or revoked."""
-    row = _key_row(engine, key_id)
-    return Caller(row.tenant_id, row.id, frozenset(row.scopes.split())) if row is not None else None
+    """Return who a session of this key belongs to, or None where the key is gone, expired or revoked."""
+    row = _valid_key(engine, key_id)
+    return _caller(row) if row is not None else None
 
 
 def create_login(engine: sa.Engine, key_id: str, *, lifetime_s: float = LOGIN_S) -> str:
@@ -110,9 +175,43 @@ def redeem_login(engine: sa.Engine, token: str) -> Caller | None:
     return caller_of_id(engine, key_id) if key_id is not None else None
 
 
-def _key_row(engine: sa.Engine, key_id: str) -> Any:
-    columns = (api_key.c.id, api_key.c.tenant_id, api_key.c.secret_digest, api_key.c.scopes)
+_SHOWN = [c for c in api_key.c if c.name != "secret_digest"]
+
+
+def _alive() -> sa.ColumnElement[bool]:
+    return api_key.c.revoked_at.is_(None) & (api_key.c.expires_at.is_(None) | (api_key.c.expires_at > now()))
+
+
+def _after(seconds: float | None) -> Any:
+    return now() + seconds if seconds is not None else None
+
+
+def _insert_key(tx: sa.Connection, tenant_id: str, name: str, scopes: str, expires_at: Any) -> str:
+    key_id, secret = new_id(), secrets.token_urlsafe(32)
+    tx.execute(
+        sa.insert(api_key).values(
+            id=key_id, tenant_id=tenant_id, name=name, secret_digest=digest_of(secret), scopes=scopes,
+            created_at=now(), expires_at=expires_at,
+        )
+    )  # fmt: skip
+    return f"ff_{key_id}_{secret}"
+
+
+def _key(tx: sa.Connection, tenant_id: str, key_id: str, *, alive: bool = False) -> sa.Row[Any]:
+    query = sa.select(*_SHOWN).where(api_key.c.id == key_id, owned(api_key.c.tenant_id, tenant_id))
+    row = tx.execute(query.where(_alive()) if alive else query).one_or_none()
+    if row is None:
+        raise KeyNotFound(key_id)
+    return row
+
+
+def _valid_key(engine: sa.Engine, key_id: str) -> Any:
+    if not re.fullmatch("[0-9a-f]{32}", key_id):
+        return None
+    query = sa.select(api_key, tenant.c.is_operator).join(tenant, tenant.c.id == api_key.c.tenant_id)
     with read(engine) as tx:
-        return tx.execute(
-            sa.select(*columns).where(api_key.c.id == key_id, api_key.c.revoked_at.is_(None))
-        ).one_or_none()
+        return tx.execute(query.where(api_key.c.id == key_id, _alive())).one_or_none()
+
+
+def _caller(row: Any) -> Caller:
+    return Caller(row.tenant_id, row.id, frozenset(row.scopes.split()), row.name, bool(row.is_operator))
