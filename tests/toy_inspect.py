@@ -14,4 +14,8 @@ except ValueError:
 if scene.get("greedy"):
     bytearray(1 << 40)
 time.sleep(scene.get("slow", 0.0))
-print(json.dumps({"objects": [{"id": 0}], "triangles": 12, "warnings": []}))
+described = {"objects": [{"id": 0}], "triangles": 12, "warnings": []}
+folder = Path(sys.argv[sys.argv.index("--out") + 1])
+(folder / "inspect.json").write_text(json.dumps(described))
+(folder / "picture.png").write_bytes(b"\x89PNG toy")
+print(json.dumps({**described, "objects": 1}))

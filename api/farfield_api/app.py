@@ -8,13 +8,18 @@ from typing import Any
 from farfield.store.artifacts import open_artifacts
 from farfield.store.engine import open_engine
 from fastapi import FastAPI
+from prometheus_client import CollectorRegistry, start_http_server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
+from farfield_api.cluster_metrics import ClusterMetrics
 from farfield_api.errors import PROBLEM_SCHEMA, add_handlers
 from farfield_api.headers import SecurityHeaders
+from farfield_api.observe import HttpMetrics, Observe
 from farfield_api.pages import add_pages
 from farfield_api.queue import Queue
-from farfield_api.routes import devices, health, jobs, placements, scenes, session
+from farfield_api.readiness import Readiness
+from farfield_api.resumable import keep_swept
+from farfield_api.routes import devices, health, jobs, operations, placements, scenes, session, uploads
 from farfield_api.settings import ApiSettings
 from farfield_api.state import State
 from farfield_api.streams import EventPoller
@@ -25,30 +30,42 @@ MAX_JSON_BYTES = 1 << 20
 def make_app(settings: ApiSettings) -> FastAPI:
     """Return the app. It opens the database, and neither makes nor migrates it."""
     engine = open_engine(settings.database_url)
+    artifacts = open_artifacts(settings.artifacts, cache=settings.cache, cache_bytes=settings.cache_bytes)
+    queue = Queue(settings.broker_url, engine)
     state = State(
-        settings=settings, engine=engine,
-        artifacts=open_artifacts(settings.artifacts, cache=settings.cache, cache_bytes=settings.cache_bytes),
-        queue=Queue(settings.broker_url, engine), poller=EventPoller(engine, settings.poll_s),
+        settings=settings, engine=engine, artifacts=artifacts, queue=queue,
+        poller=EventPoller(engine, settings.poll_s),
+        readiness=Readiness(engine, artifacts, queue.check, settings.migrations),
     )  # fmt: skip
+    registry = CollectorRegistry()
+    registry.register(ClusterMetrics(engine, artifacts, state.readiness))
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        polling = asyncio.create_task(state.poller.run())
+        running = [asyncio.create_task(task) for task in (state.poller.run(), keep_swept(state))]
+        server = None
+        if settings.metrics_port is not None:
+            server, _ = start_http_server(settings.metrics_port, settings.metrics_host, registry)
         yield
-        polling.cancel()
-        with suppress(asyncio.CancelledError):
-            await polling
+        if server is not None:
+            server.shutdown()
+        state.readiness.close()
+        for task in running:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
         engine.dispose()
 
     app = FastAPI(
         title="farfield", version="1", lifespan=lifespan, docs_url=None, redoc_url=None,
         openapi_url="/v1/openapi.json", max_body_size=MAX_JSON_BYTES,
     )  # fmt: skip
-    app.state.farfield = state
+    app.state.farfield, app.state.registry = state, registry
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(settings.hosts))
     app.add_middleware(SecurityHeaders)  # the outer one: what the other refuses has the headers, too
+    app.add_middleware(Observe, metrics=HttpMetrics(registry))
     add_handlers(app)
-    for routes in (health, session, scenes, jobs, placements, devices):
+    for routes in (health, operations, session, scenes, uploads, jobs, placements, devices):
         app.include_router(routes.router)
     add_pages(app, settings.web)
     _describe(app)

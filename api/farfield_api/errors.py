@@ -4,10 +4,11 @@
  "detail": "what is wrong, and where", "advice": "what to do"}
 """
 
+import errno
 import logging
 from typing import Any
 
-from farfield import errors
+from farfield import errors, logs
 from farfield.errors import FailedElsewhere, FarfieldError
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -17,6 +18,7 @@ from starlette.exceptions import HTTPException
 from farfield_api.headers import HEADERS
 
 log = logging.getLogger(__name__)
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class AccessError(FarfieldError):
@@ -62,6 +64,68 @@ class UploadAltered(FarfieldError):
     advice = "Send the file again."
 
 
+class UploadCut(FarfieldError):
+    """The line ended before the body did: nobody reads this answer."""
+
+    advice = "Ask with HEAD how many bytes have arrived, and go on from there."
+
+    def __init__(self) -> None:
+        super().__init__("the connection ended before the file did")
+
+
+class UploadStalled(FarfieldError):
+    advice = "Ask with HEAD how many bytes have arrived, and go on from there."
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(f"hardly a byte has come for {seconds:g} s")
+
+
+class UploadHeaderInvalid(FarfieldError):
+    advice = "See https://tus.io/protocols/resumable-upload, version 1.0.0, and docs/recipes.md."
+
+
+class TusVersionUnknown(FarfieldError):
+    advice = "Send Tus-Resumable: 1.0.0."
+
+    def __init__(self) -> None:
+        super().__init__("the version of the tus protocol is 1.0.0")
+
+
+class UploadTypeUnknown(FarfieldError):
+    advice = "Send Content-Type: application/offset+octet-stream."
+
+    def __init__(self) -> None:
+        super().__init__("pieces of an upload come as application/offset+octet-stream")
+
+
+class UploadOffsetWrong(FarfieldError):
+    advice = "Ask with HEAD how many bytes have arrived, and go on from there."
+
+    def __init__(self, offset: int, received: int) -> None:
+        super().__init__(f"the bytes from {offset} on were sent, but {received} have arrived")
+
+
+class UploadBusy(FarfieldError):
+    advice = "Wait a second and ask again."
+
+    def __init__(self) -> None:
+        super().__init__("another request works on this upload")
+
+
+class UploadChecksumWrong(FarfieldError):
+    advice = "Send the piece again, from the same offset."
+
+    def __init__(self) -> None:
+        super().__init__("the bytes do not have the checksum of Upload-Checksum; none of them was kept")
+
+
+class StoreFull(FarfieldError):
+    advice = "Ask the operator to make room, then try again."
+
+    def __init__(self) -> None:
+        super().__init__("the service has no room left")
+
+
 class CursorInvalid(FarfieldError):
     advice = "Use the `next` of the page before, unchanged."
 
@@ -79,6 +143,15 @@ STATUS: dict[type[FarfieldError], int] = {
     AccessError: 403,
     UploadTooLarge: 413,
     UploadAltered: 422,
+    UploadCut: 400,
+    UploadStalled: 408,
+    UploadHeaderInvalid: 400,
+    TusVersionUnknown: 412,
+    UploadTypeUnknown: 415,
+    UploadOffsetWrong: 409,
+    UploadBusy: 423,
+    UploadChecksumWrong: 460,
+    StoreFull: 507,
     CursorInvalid: 422,
     InputRefused: 422,
     errors.SceneError: 422,
@@ -88,6 +161,8 @@ STATUS: dict[type[FarfieldError], int] = {
     errors.CalibrationError: 422,
     errors.OutsideViewSpace: 422,
     errors.SceneNotFound: 404,
+    errors.UploadNotFound: 404,
+    errors.UploadsTooMany: 429,
     errors.JobNotFound: 404,
     errors.DeviceNotFound: 404,
     errors.PlacementNotFound: 404,
@@ -115,6 +190,7 @@ PROBLEM_SCHEMA = {
         "code": {"type": "string", "description": "the error's stable name"},
         "detail": {"type": "string", "description": "what is wrong, and where"},
         "advice": {"type": "string", "description": "what to do"},
+        "request_id": {"type": ["string", "null"], "description": "what the operator finds it by in the logs"},
         "key": {"type": "string", "description": "the setting's dotted name, for SettingsInvalid"},
         "errors": {"type": "array", "items": {"type": "object"}, "description": "for RequestInvalid: where and what"},
     },
@@ -128,9 +204,16 @@ def status_of(error: FarfieldError) -> int:
 
 def problem(status: int, code: str, detail: str, advice: str = "", **more: Any) -> JSONResponse:
     """Return a problem as a response."""
-    body = {"type": f"urn:farfield:error:{code}", "title": code, "status": status, "code": code, "detail": detail}
+    body: dict[str, Any] = {
+        "type": f"urn:farfield:error:{code}",
+        "title": code,
+        "status": status,
+        "code": code,
+        "detail": detail,
+    }
     headers = {"WWW-Authenticate": "Bearer"} if status == 401 else {}
-    return JSONResponse({**body, "advice": advice, **more}, status, headers, media_type=MEDIA_TYPE)
+    body |= {"advice": advice, "request_id": logs.known("request")}
+    return JSONResponse({**body, **more}, status, headers, media_type=MEDIA_TYPE)
 
 
 def add_handlers(app: FastAPI) -> None:
@@ -143,6 +226,13 @@ def add_handlers(app: FastAPI) -> None:
         if status == 500:
             log.error("%s %s: %s: %s", request.method, request.url.path, error.code, error)
         return problem(status, error.code, str(error), error.advice, **more)
+
+    @app.exception_handler(OSError)
+    async def full(request: Request, error: OSError) -> JSONResponse:
+        if error.errno not in NO_ROOM:
+            raise error
+        log.error("%s %s: %s", request.method, request.url.path, error)
+        return await named(request, StoreFull())
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
@@ -159,5 +249,6 @@ def add_handlers(app: FastAPI) -> None:
     async def unexpected(request: Request, error: Exception) -> JSONResponse:
         log.exception("%s %s", request.method, request.url.path, exc_info=error)
         answer = problem(500, "Unexpected", "the service failed", "Try again; tell the operator when it happened.")
-        answer.headers.update(HEADERS)  # this answer is made outside of all middleware
+        # This answer is made outside of all middleware.
+        answer.headers.update({**HEADERS, "x-request-id": str(logs.known("request"))})
         return answer

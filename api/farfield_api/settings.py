@@ -11,6 +11,7 @@ from pathlib import Path
 
 from farfield.store.artifacts import CACHE_BYTES
 
+MIGRATIONS = Path(os.environ.get("FARFIELD_MIGRATIONS", Path(__file__).resolve().parents[2] / "migrations"))
 INSPECT = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
 CALIBRATE = (sys.executable, "-m", "farfield.cli.main", "calibrate", "--json")
 
@@ -37,6 +38,9 @@ class ApiSettings:
     calibrate_command: tuple[str, ...] = CALIBRATE  # prints the profile of the samples in the file named last, as JSON
     session_s: int = 12 * 3600
     poll_s: float = 0.25  # how often the streams look for new events
+    migrations: Path = MIGRATIONS  # the versions of the tables that this code knows
+    metrics_port: int | None = None  # also answer /metrics there without a key; None: only with one
+    metrics_host: str = "127.0.0.1"
     cache: Path | None = None  # where copies of remote artifacts lie; None: ~/.cache/farfield
     cache_bytes: int = CACHE_BYTES
 
@@ -60,6 +64,8 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
         inspect_command=tuple(shlex.split(environment.get("FARFIELD_INSPECT", ""))) or INSPECT,
         calibrate_command=tuple(shlex.split(environment.get("FARFIELD_CALIBRATE", ""))) or CALIBRATE,
         inspect_seconds=int(environment.get("FARFIELD_INSPECT_SECONDS", 300)),
+        metrics_port=int(environment["FARFIELD_METRICS_PORT"]) if environment.get("FARFIELD_METRICS_PORT") else None,
+        metrics_host=environment.get("FARFIELD_METRICS_HOST", "127.0.0.1"),
         cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
         cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
     )

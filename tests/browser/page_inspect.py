@@ -31,4 +31,7 @@ described = {
         },
     },
 }  # fmt: skip
-print(json.dumps(described))
+folder = Path(sys.argv[sys.argv.index("--out") + 1])
+(folder / "inspect.json").write_text(json.dumps(described))
+counts = {key: len(described[key]) for key in ("objects", "materials", "textures")}
+print(json.dumps({**described, **counts}))

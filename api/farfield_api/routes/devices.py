@@ -16,7 +16,7 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, WrapValidator
 from starlette.concurrency import run_in_threadpool
 
-from farfield_api import upload
+from farfield_api.apart import SAMPLES, read_apart
 from farfield_api.auth import Reader, Submitter
 from farfield_api.errors import RESPONSES, InputRefused
 from farfield_api.state import Service, State
@@ -113,12 +113,11 @@ def with_device(engine: sa.Engine, tenant_id: str, settings: Settings) -> tuple[
 async def _fit(service: State, frames: list[list[float]]) -> tuple[dict[str, Any] | None, dict[str, str] | None]:
     """Return the profile, or why there is none yet. The fit runs in a process of its own: it needs no part of the API."""
     rows = [dict(zip((*COLUMNS, "ms"), frame, strict=True)) for frame in frames]
-    with tempfile.NamedTemporaryFile("w", dir=service.artifacts.temporary, prefix="samples-", suffix=".json") as file:
-        json.dump(rows, file)
-        file.flush()
+    with tempfile.TemporaryDirectory(dir=service.artifacts.temporary, prefix="read-") as folder:
+        file = Path(folder) / "samples.json"
+        await run_in_threadpool(file.write_text, json.dumps(rows))
         try:
-            reader = service.settings.calibrate_command
-            found = await upload.read_apart(reader, Path(file.name), "samples", service.settings)
+            found = await read_apart(service.settings.calibrate_command, file, "samples", service.settings, SAMPLES)
         except InputRefused as refused:
             if refused.code not in NOT_YET:
                 raise

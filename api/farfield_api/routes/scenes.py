@@ -1,17 +1,15 @@
 """Scenes: sent once, hashed on the way, read in a process with limits before they are accepted."""
 
-import json
 from typing import Any
 
-from farfield.errors import SceneNotFound
 from farfield.store import scenes
-from fastapi import APIRouter, Request, Response
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, HTTPException, Request, Response
 
 from farfield_api import upload
+from farfield_api.accept import accept
 from farfield_api.auth import Reader, Submitter
 from farfield_api.errors import RESPONSES
-from farfield_api.state import Service, State
+from farfield_api.state import Service
 from farfield_api.times import iso
 
 router = APIRouter(prefix="/v1/scenes", tags=["scenes"], responses=RESPONSES)
@@ -35,26 +33,17 @@ _BODY = {
 )
 async def send(request: Request, response: Response, caller: Submitter, service: Service) -> dict[str, Any]:
     # The limit above is no limit: `receive` counts, and names what was exceeded.
-    received = await upload.receive(request, service.artifacts.temporary, service.settings.max_scene_bytes)
+    limits = service.settings
+    file = await upload.receive(
+        request, service.artifacts.temporary, limit=limits.max_scene_bytes, stall_s=limits.stall_s
+    )
     try:
-        try:
-            row = await run_in_threadpool(scenes.get, service.engine, caller.tenant_id, received.digest)
-        except SceneNotFound:
-            pass
-        else:
-            response.status_code = 200
-            return _shown(row)
-        suffix = upload.suffix_of(received)
-        named = received.path.with_name(received.path.name + suffix)
-        received.path.rename(named)
-        received.path = named
-        shown = received.name or f"scene{suffix}"
-        found = await upload.read_apart(service.settings.inspect_command, named, shown, service.settings)
-        row = await run_in_threadpool(_accept, service, caller.tenant_id, received, suffix, found)
-        response.headers["location"] = f"/v1/scenes/{received.digest}"
-        return _shown(row)
+        row, new = await accept(service, caller.tenant_id, file)
     finally:
-        received.path.unlink(missing_ok=True)
+        file.path.unlink(missing_ok=True)
+    response.status_code = 201 if new else 200
+    response.headers["location"] = f"/v1/scenes/{file.digest}"
+    return _shown(row)
 
 
 @router.get("", summary="The newest scenes")
@@ -75,19 +64,16 @@ def objects(digest: str, caller: Reader, service: Service) -> Response:
     return Response(bytes(service.artifacts.buffer(row.inspect_digest)), media_type="application/json")
 
 
-def _accept(service: State, tenant_id: str, received: upload.Received, suffix: str, found: dict[str, Any]) -> Any:
-    whole = json.dumps(found, sort_keys=True).encode()
-    inspect_digest = service.artifacts.put(whole)
-    service.artifacts.put_file(received.path, received.digest)
-    # The row holds counts; the lists are an artifact, asked for apart.
-    counts = {key: len(found[key]) for key in ("objects", "materials", "textures") if isinstance(found.get(key), list)}
-    summary = {**found, **counts}
-    name = received.name or f"scene{suffix}"
-    scenes.add(
-        service.engine, tenant_id, digest=received.digest, name=name, suffix=suffix, n_bytes=received.n_bytes,
-        summary=summary, inspect_digest=inspect_digest, inspect_bytes=len(whole),
-    )  # fmt: skip
-    return scenes.get(service.engine, tenant_id, received.digest)
+@router.get(
+    "/{digest}/picture", summary="The scene from above, north (-z) up, as PNG", response_class=Response,
+    responses={200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}},
+)  # fmt: skip
+def picture(digest: str, caller: Reader, service: Service) -> Response:
+    row = scenes.get(service.engine, caller.tenant_id, digest)
+    if row.picture_digest is None:
+        raise HTTPException(404, "this scene was sent before pictures were made")
+    headers = {"cache-control": "private, max-age=31536000, immutable"}
+    return Response(bytes(service.artifacts.buffer(row.picture_digest)), headers=headers, media_type="image/png")
 
 
 def _shown(row: Any) -> dict[str, Any]:
@@ -97,4 +83,9 @@ def _shown(row: Any) -> dict[str, Any]:
         "name": row.name,
         "bytes": row.n_bytes,
         "uploaded_at": iso(row.created_at),
+        "links": {
+            "self": f"/v1/scenes/{row.digest}",
+            "objects": f"/v1/scenes/{row.digest}/objects",
+            "picture": f"/v1/scenes/{row.digest}/picture" if row.picture_digest is not None else None,
+        },
     }

@@ -17,19 +17,30 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("scene", type=Path, metavar="SCENE", help="glTF, GLB, OBJ, PLY, STL, or a zip of one of these")
     parser.add_argument("--settings", type=Path, metavar="FILE.toml", help="settings (docs/settings.md)")
     parser.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="write DIR/inspect.json and, where it is quickly drawn, DIR/picture.png; print counts in place of lists",
+    )  # fmt: skip
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read the level and print what it holds; exit 0."""
     from farfield.cli.place import load_settings
-    from farfield.scene.describe import describe
+    from farfield.scene.describe import describe, summary
+    from farfield.scene.picture import picture_from_above
     from farfield.scene.read import inspect_scene
 
     scene, suggestion = inspect_scene(args.scene, settings=load_settings(args.settings, None))
     document = describe(scene, suggestion)
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "inspect.json").write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+        picture = picture_from_above(scene)
+        if picture is not None:
+            (args.out / "picture.png").write_bytes(picture)
     if args.json:
-        print(json.dumps(document, allow_nan=False))
+        print(json.dumps(document if args.out is None else summary(document), allow_nan=False))
     else:
         _show(document, args.scene.name, Console(highlight=False))
     return 0

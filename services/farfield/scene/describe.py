@@ -1,9 +1,10 @@
 """Scene -> one JSON document: what `farfield inspect --json` prints and the dashboard shows before a job starts."""
 
+import io
 import math
 from typing import Any
 
-import numpy as np
+from PIL import Image
 
 from farfield.geometry.cells import build_cells
 from farfield.scene.derive import Suggestion
@@ -17,7 +18,6 @@ _MODES = {BLEND: "blend", MASK: "mask"}
 def describe(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
     """Return plain JSON values; every box is two corners in scene metres (y up), ids are those of the placement."""
     boxes = scene.object_box + scene.origin_m
-    sizes = np.diff(scene.texture_byte)
     return {
         "objects": [
             {"id": i, "name": name, "box": box, "triangles": triangles, "calls": calls, "replaceable": replaceable}
@@ -45,7 +45,7 @@ def describe(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
             }
             for k, name in enumerate(scene.material_name)
         ],
-        "textures": [{"bytes": n} for n in sizes.tolist()],
+        "textures": [_texture(scene, x) for x in range(len(scene.texture_byte) - 1)],
         "dropped_triangles": scene.dropped_triangles,
         "warnings": list(scene.warnings),
         "suggested": {
@@ -64,6 +64,23 @@ def describe(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:
             },
         },
     }
+
+
+def _texture(scene: Scene, x: int) -> dict[str, int]:
+    first, end = scene.texture_byte[x : x + 2].tolist()
+    with Image.open(io.BytesIO(scene.texture_data[first:end].tobytes())) as image:  # reads no more than the header
+        return {"bytes": end - first, "width": image.width, "height": image.height}
+
+
+def summary(document: dict[str, Any]) -> dict[str, Any]:
+    """Return what `describe` says with counts in place of the long lists, and the sums over its textures."""
+    textures = document["textures"]
+    return {
+        **document, **{key: len(document[key]) for key in ("objects", "materials", "textures")},
+        "texture_bytes": sum(t["bytes"] for t in textures),
+        "texture_pixels": sum(t["width"] * t["height"] for t in textures),
+        "replaceable": sum(o["replaceable"] for o in document["objects"]),
+    }  # fmt: skip
 
 
 def _work(scene: Scene, suggestion: Suggestion) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """A small picture of a level from straight above: x to the right, z down, the highest surface at each pixel.
 
-For a page that asks "is this the level that I meant?" before a job is paid for: no more. Colours are a material's, times its
-texture's mean; alpha is not looked at. Drawn at twice its size and averaged.
+For a page that asks "is this the level that I meant?" before a job is paid for: no more. A triangle has one colour: its
+material's, times that of its texture in its middle; alpha is not looked at. Drawn at twice its size and averaged.
 Work is bounded: a level that would need more than MOST_LOOKED pixel tests has no picture, however it is built.
 """
 
@@ -18,7 +18,7 @@ from farfield.scene.raw import linear_from_srgb
 SIDE_PX = 512  # of the longer side
 OVERSAMPLED = 2
 MOST_LOOKED = 1 << 31  # some seconds of one core
-MOST_TEXTURE_PIXELS = 1 << 26  # decoded for their mean
+TEXTURE_PX, MOST_TEXTURE_PIXELS = 64, 1 << 26  # a texture's side here; what is decoded of all of them
 _BACKGROUND = np.array([0.93, 0.93, 0.93])
 
 
@@ -51,30 +51,24 @@ def picture_from_above(scene: Scene) -> bytes | None:
 
 
 def _triangle_colors(scene: Scene) -> np.ndarray:
-    """(T,3) f32 linear: base colour, the texture's mean and the mean of the corners' colours, multiplied."""
-    means = _texture_means(scene)
-    base = scene.material_base_color[:, :3] * means[scene.material_texture]
+    """(T,3) f32 linear: base colour, the texture in the triangle's middle, the mean of the corners' colours, multiplied."""
     of_triangle = np.repeat(scene.primitive_material, np.diff(scene.primitive_triangle))
-    corners = scene.color[:, :3].take(scene.index[:, 0], axis=0)
-    for k in (1, 2):
-        corners = corners + scene.color[:, :3].take(scene.index[:, k], axis=0)
-    return np.asarray(base[of_triangle] * (corners / np.float32(3.0)), dtype=np.float32)
-
-
-def _texture_means(scene: Scene) -> np.ndarray:
-    """(X+1,3) f32 linear means; the last row, where an index of -1 ends, is white."""
-    n = len(scene.texture_byte) - 1
-    means, left = np.ones((n + 1, 3), dtype=np.float32), MOST_TEXTURE_PIXELS
-    for x in range(n):
+    color, uv = (sum(c.take(scene.index[:, k], axis=0) for k in range(3)) / np.float32(3.0)
+                 for c in (scene.color[:, :3], scene.uv))  # fmt: skip
+    colors = np.asarray(scene.material_base_color[:, :3][of_triangle] * color, dtype=np.float32)
+    texture, left = scene.material_texture[of_triangle], MOST_TEXTURE_PIXELS
+    for x in range(len(scene.texture_byte) - 1):
         data = scene.texture_data[scene.texture_byte[x] : scene.texture_byte[x + 1]]
         with Image.open(io.BytesIO(data.tobytes())) as opened:
-            pixels = opened.width * opened.height
-            if pixels > left:
+            if opened.width * opened.height > left:
                 continue
-            left -= pixels
-            small = opened.convert("RGB").resize((8, 8), Image.Resampling.BOX)
-        means[x] = linear_from_srgb(np.asarray(small, dtype=np.float64) / 255.0).mean((0, 1))
-    return means
+            left -= opened.width * opened.height
+            sides = min(opened.width, TEXTURE_PX), min(opened.height, TEXTURE_PX)
+            small = linear_from_srgb(np.asarray(opened.convert("RGB").resize(sides, Image.Resampling.BOX)) / 255.0)
+        here = np.flatnonzero(texture == x)
+        u, v = ((uv[here, k].astype(np.float64) % 1.0 * n).astype(np.int64).clip(0, n - 1) for k, n in enumerate(sides))
+        colors[here] *= small[v, u].astype(np.float32)
+    return colors
 
 
 def _srgb_bytes(linear: np.ndarray) -> np.ndarray:

@@ -1,11 +1,12 @@
 """Uploaded scenes: one row for each tenant that sent the file, one blob for all of them."""
 
+from collections.abc import Callable
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
-from farfield.errors import SceneInUse, SceneNotFound
+from farfield.errors import ArtifactMissing, SceneInUse, SceneNotFound
 from farfield.store import quotas
 from farfield.store.engine import now, read, write
 from farfield.store.pages import Cursor, holding, newest_first, owned
@@ -17,20 +18,22 @@ from farfield.store.tables import job, scene
 def add(
     engine: sa.Engine, tenant_id: str, *, digest: str, name: str, suffix: str, n_bytes: int, summary: dict[str, Any],
     inspect_digest: str, inspect_bytes: int, picture_digest: str | None = None, picture_bytes: int = 0,
-    quota: Quota | None = None,
+    quota: Quota | None = None, check: Callable[[str], bool] = bool,
 ) -> None:  # fmt: skip
-    """Accept a scene whose blobs are stored; sent again it keeps its first row. Raises QuotaExceeded.
+    """Accept a scene whose blobs are stored; sent again it keeps its first row. Raises QuotaExceeded, ArtifactMissing.
 
     quota  of tenants that have none of their own; None: not looked at
+    check  says whether a blob is there: asked while the rows are held, for one may have been collected meanwhile
     """
     with write(engine) as tx:
         there = sa.select(scene.c.digest).where(scene.c.tenant_id == tenant_id, scene.c.digest == digest)
         if quota is not None and tx.scalar(there) is None:
             quotas.check_bytes(tx, tenant_id, quota, n_bytes + inspect_bytes + picture_bytes)
-        put_artifact(tx, digest, n_bytes)
-        put_artifact(tx, inspect_digest, inspect_bytes)
-        if picture_digest is not None:
-            put_artifact(tx, picture_digest, picture_bytes)
+        blobs = ((digest, n_bytes), (inspect_digest, inspect_bytes), (picture_digest, picture_bytes))
+        for blob, size in sorted((blob, size) for blob, size in blobs if blob is not None):
+            put_artifact(tx, blob, size)
+            if not check(blob):
+                raise ArtifactMissing(blob)
         insert = sqlite.insert if tx.dialect.name == "sqlite" else postgresql.insert
         values = {
             "tenant_id": tenant_id, "digest": digest, "name": name, "suffix": suffix, "n_bytes": n_bytes,

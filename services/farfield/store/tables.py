@@ -27,8 +27,9 @@ JOB_STATES = ("queued", "running", "done", "failed", "cancelled")
 STAGE_STATES = ("waiting", "planning", "running", "merging", "reporting", "done", "skipped", "failed")
 SHARD_STATES = ("ready", "running", "done", "failed", "cancelled")
 SHARD_KINDS = ("plan", "run", "merge", "report")
+PRIORITIES = ("high", "normal", "low")
 SCOPES = ("read", "submit", "admin")
-WEBHOOK_EVENTS = ("queued", "done", "failed", "cancelled")
+WEBHOOK_EVENTS = ("queued", "running", "done", "failed", "cancelled")
 DELIVERY_STATES = ("pending", "delivered", "failed")
 
 _ID = sa.String(32)
@@ -61,6 +62,7 @@ tenant = sa.Table(
     sa.Column("max_bytes", sa.BigInteger, nullable=True),  # quotas; null: the default of the service
     sa.Column("max_jobs", sa.Integer, nullable=True),
     sa.Column("max_running", sa.Integer, nullable=True),
+    sa.Column("turn", sa.BigInteger, nullable=False, server_default="0"),  # number of the claim that served it last
     _at("created_at", nullable=False),
 )
 
@@ -262,6 +264,8 @@ job = sa.Table(
     sa.Column("figures", sa.JSON(none_as_null=True), nullable=True),  # of the report: bytes, hopeless views, budget
     sa.Column("error", sa.JSON(none_as_null=True), nullable=True),  # code, message, advice, stage
     sa.Column("event_seq", sa.BigInteger, nullable=False),  # number of its last event
+    sa.Column("priority", sa.SmallInteger, nullable=False, server_default="1"),  # place in PRIORITIES
+    sa.Column("turn", sa.BigInteger, nullable=False, server_default="0"),  # number of the claim that served it last
     sa.Column("optimizer_token", sa.BigInteger, nullable=False),  # fence: grows with every lease
     sa.Column("optimizer_shard_id", _ID, nullable=True),
     _at("optimizer_until"),
@@ -272,6 +276,16 @@ job = sa.Table(
     sa.ForeignKeyConstraint(["tenant_id", "scene_digest"], ["scene.tenant_id", "scene.digest"]),
     sa.Index(None, "tenant_id", "created_at", "id"),
     sa.Index(None, "state"),
+    sa.Index(None, "tenant_id", "state", "created_at", "id"),
+    sa.Index(  # the order of claims: see store/fair.py
+        "ix_job_turn",
+        "tenant_id",
+        "priority",
+        "turn",
+        "id",
+        sqlite_where=sa.text("finished_at IS NULL"),
+        postgresql_where=sa.text("finished_at IS NULL"),
+    ),
     _one_of("state", JOB_STATES),
 )
 
@@ -286,6 +300,9 @@ stage = sa.Table(
     sa.Column("state", sa.String(10), nullable=False),
     sa.Column("queue", sa.String(20), nullable=True),
     sa.Column("skipped", sa.Text, nullable=True),  # the reason
+    sa.Column("n_shards", sa.Integer, nullable=False, server_default="0"),  # of kind `run`
+    sa.Column("n_done", sa.Integer, nullable=False, server_default="0"),  # of these
+    sa.Column("peak_bytes", sa.BigInteger, nullable=True),  # the largest of its shards
     _artifact("artifact_digest"),
     _at("started_at"),
     _at("finished_at"),
@@ -310,8 +327,10 @@ shard = sa.Table(
     sa.Column("state", sa.String(10), nullable=False),
     sa.Column("attempt", sa.Integer, nullable=False),
     _at("lease_until"),
-    _at("sent_at"),  # when its message was last sent; null: not yet
-    sa.Column("ready_at", sa.Double, default=now(), nullable=True),  # since when it could run
+    sa.Column("ready_at", sa.Double, default=now(), nullable=True),  # since when it could run; ahead: it was put off
+    sa.Column("put_off", sa.SmallInteger, nullable=False, server_default="0"),  # how often, for want of disk or store
+    sa.Column("need_bytes", sa.BigInteger, nullable=False, server_default="0"),  # memory, an upper estimate
+    sa.Column("host", sa.String(255), nullable=True),  # whose memory its worker shares
     sa.Column("worker", sa.String(100), nullable=True),
     _artifact("artifact_digest"),
     sa.Column("cached", sa.Boolean, nullable=False),  # its key was known: taken over, not computed
@@ -321,7 +340,8 @@ shard = sa.Table(
     sa.Column("log", sa.Text, nullable=True),  # the traceback: for the operator
     sa.UniqueConstraint("stage_id", "kind", "ordinal"),
     sa.Index(None, "key"),
-    sa.Index(None, "job_id", "state"),
+    sa.Index(None, "job_id", "state", "queue", "ordinal"),
+    sa.Index(None, "queue", "state", "ready_at"),
     sa.Index(None, "state", "lease_until"),
     sa.Index(None, "artifact_digest"),
     _one_of("state", SHARD_STATES),
