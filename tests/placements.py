@@ -12,7 +12,7 @@ from farfield.hierarchy.model import Hierarchy
 from farfield.placement.model import Placement
 from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
-from farfield.settings import Settings
+from farfield.settings import BakeSettings, Settings
 from farfield.visibility.model import VisibleSets
 from problem_views import views_of
 from towns import town
@@ -107,7 +107,7 @@ def layered(scene: Scene, hierarchy: Hierarchy, clusters: np.ndarray, wide: bool
 def made_up(
     *, n_objects: int = 24, n_impostors: int = 9, budget: int = 20, per_frame: int = 3, share: float = 0.02,
     visible: bool = False, detail: bool = False, wide: bool = True, seed: int = 0, view_boxes: np.ndarray | None = None,
-    origin_m: tuple[float, float, float] = (160.0, 0.0, -320.0), cell_m: float = 16.0,
+    origin_m: tuple[float, float, float] = (160.0, 0.0, -320.0), cell_m: float = 16.0, page_format: str = "webp",
 ) -> dict[str, Any]:  # fmt: skip
     """Return the arguments of `build_files` by name, for a budget in calls.
 
@@ -167,7 +167,8 @@ def made_up(
         )  # fmt: skip
     return {
         "scene": scene, "hierarchy": hierarchy, "model": model, "cells": cells, "visible": sets, "views": views,
-        "placement": placement, "baked": baked, "settings": Settings(budget=f"{budget} calls"),
+        "placement": placement, "baked": baked,
+        "settings": Settings(budget=f"{budget} calls", bake=BakeSettings(page_format=page_format)),
         "digests": {"scene": "00" * 32, "scene.glb": "11" * 32}, "lighting": LIGHTING, "threads": 1,
     }  # fmt: skip
 

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from farfield.columns import Parts, dataclass_parts, files_parts, pack_parts, unpack, unpack_dataclass, unpack_files
+from farfield.memory import Need
 from farfield.settings import PlacementSettings, Settings, to_mapping
 from farfield.stages import Queue, Stage
 
@@ -68,6 +69,7 @@ class Step:
     skip: Callable[[Inputs], str | None] = field(default=lambda inputs: None)
     asks: tuple[str, ...] = ()  # more settings, that only `skip`, `plan` and `merge` look at
     timed: Callable[[Settings], bool] = field(default=lambda settings: False)  # see `shard_key`
+    need: Need = field(default_factory=Need)  # memory of its shards
 
 
 def shard_key(step: Step, inputs: Inputs, shard: Shard) -> str:
@@ -270,15 +272,30 @@ def _no_problem(inputs: Inputs) -> str | None:
 # 7 candidates -------------------------------------------------------------------------------------------------------
 
 
+def _with_maps(inputs: Inputs) -> bool:
+    return inputs.settings.placement.candidates == "environment"
+
+
 def _candidates_plan(inputs: Inputs) -> list[Shard]:
+    if _with_maps(inputs):
+        from farfield.candidates.environment import plan_shards as cells_shards
+
+        return [[a, b] for a, b in cells_shards(inputs.get(Stage.VIEWSPACE))]
     from farfield.candidates.generate import plan_shards
 
     return [[int(a), int(b)] for a, b in plan_shards(inputs.get(Stage.HIERARCHY))]
 
 
 def _candidates(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.candidates.environment import generate_maps
     from farfield.candidates.generate import generate
 
+    if _with_maps(inputs):
+        maps = generate_maps(
+            inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs), inputs.get(Stage.VIEWSPACE),
+            settings=inputs.settings, leaves=(shard[0], shard[1]),
+        )  # fmt: skip
+        return dataclass_parts(maps)
     found = generate(
         inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
         inputs.get(Stage.VIEWSPACE), settings=inputs.settings, nodes=(shard[0], shard[1]),
@@ -287,9 +304,12 @@ def _candidates(inputs: Inputs, shard: Shard) -> Parts:
 
 
 def _candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.candidates.environment import merge
     from farfield.candidates.generate import merged_parts
     from farfield.candidates.model import Candidates
 
+    if _with_maps(inputs) and artifacts:
+        return dataclass_parts(merge([unpack_dataclass(Candidates, a) for a in artifacts]))
     return merged_parts([unpack_dataclass(Candidates, a) for a in artifacts])
 
 
@@ -300,7 +320,7 @@ def _placement_plan(inputs: Inputs) -> list[Shard]:
     from farfield.placement.regions import plan_regions
 
     regions = []
-    if inputs.settings.placement.regions > 1:
+    if inputs.settings.placement.regions > 1 and not _with_maps(inputs):
         regions = plan_regions(cells_of(inputs), inputs.get(Stage.VIEWSPACE), inputs.settings.placement.regions)
     return [[a, b] for a, b in regions] if len(regions) > 1 else ONE
 
@@ -388,7 +408,8 @@ def _repair(inputs: Inputs, shard: Shard) -> Parts:
 
 def _bound_skip(inputs: Inputs) -> str | None:
     off = "placement.bound is off" if inputs.settings.placement.bound == "off" else None
-    return off or _nothing_chosen(inputs)
+    whole = "environment maps are placed whole: nothing was chosen" if _with_maps(inputs) else None
+    return off or whole or _nothing_chosen(inputs)
 
 
 def _bound(inputs: Inputs, shard: Shard) -> Parts:
@@ -450,6 +471,47 @@ def _evaluation_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
     return pack_parts("verified", {}, merge_found([unpack(a)[2] for a in artifacts]))
 
 
+# 12 proof -----------------------------------------------------------------------------------------------------------
+
+PAIRS_A_SHARD = 80
+
+
+def _proof_skip(inputs: Inputs) -> str | None:
+    if inputs.settings.proof.mode == "off":
+        return "proof.mode is off"
+    return None if _shown_impostors(inputs) else "no impostor is shown anywhere"
+
+
+def _shown_impostors(inputs: Inputs) -> int:
+    for name, content in unpack_files(inputs.artifacts[Stage.PLACEMENTDB], where="artifact of stage placementdb"):
+        if name.startswith("placement/index-"):
+            return int((unpack(content)[1]["impostor_chunk"] >= 0).sum())
+    return 0
+
+
+def _proof_plan(inputs: Inputs) -> list[Shard]:
+    proof = inputs.settings.proof
+    each = proof.views if proof.mode == "all" else 0
+    pairs = _shown_impostors(inputs) * each if each else proof.pairs
+    return [[first, min(PAIRS_A_SHARD, pairs - first), each] for first in range(0, pairs, PAIRS_A_SHARD)]
+
+
+def _proof(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.evaluation.proof.prove import prove
+
+    first, count, each = shard
+    with tempfile.TemporaryDirectory(prefix="farfield-") as folder:
+        write_files(inputs.artifacts[Stage.PLACEMENTDB], Path(folder))
+        return pack_parts("proof", {}, prove(Path(folder), first, count, seed=inputs.settings.seed, each=each))
+
+
+def _proof_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.evaluation.proof.merge import merge_proofs
+
+    found = [unpack(a)[2] for a in artifacts]
+    return pack_parts("proof", {}, merge_proofs(found, confidence=inputs.settings.proof.confidence))
+
+
 def write_files(buffer: Any, folder: Path) -> None:
     """Write the files of a stage `placementdb` artifact below `folder`: scene.glb and placement/..."""
     for name, content in unpack_files(buffer, where="artifact of stage placementdb"):
@@ -481,7 +543,8 @@ STEPS: dict[Stage, Step] = {
              run=_viewspace, merge=_viewspace_merge, reads=(_CAMERA, "view_space.interval_deg")),
         Step(stage=Stage.CANDIDATES, version=2, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=_no_problem,
              plan=_candidates_plan, run=_candidates, merge=_candidates_merge,
-             reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.view_cells")),
+             reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.far_m",
+                    "placement.view_cells")),
         Step(stage=Stage.PLACEMENT, version=7, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
@@ -491,9 +554,11 @@ STEPS: dict[Stage, Step] = {
              run=_repair, reads=("placement",)),
         Step(stage=Stage.BOUND, version=2, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
              run=_bound, merge=_bound_merge, reads=("placement.bound",)),
-        Step(stage=Stage.PLACEMENTDB, version=3, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
+        Step(stage=Stage.PLACEMENTDB, version=4, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=_one, run=_placementdb, reads=tuple(f.name for f in fields(Settings))),  # its manifest states them all
         Step(stage=Stage.EVALUATION, version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=_evaluation_plan,
              run=_evaluation, merge=_evaluation_merge, reads=("seed",)),
+        Step(stage=Stage.PROOF, version=1, queue=Queue.GL, inputs=(Stage.PLACEMENTDB,), skip=_proof_skip,
+             plan=_proof_plan, run=_proof, merge=_proof_merge, reads=("seed",), asks=("proof",)),
     )
 }  # fmt: skip

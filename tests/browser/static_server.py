@@ -18,12 +18,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 DIST = ROOT / "webviewer" / "dist"
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self' blob:; "
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob:; connect-src 'self' blob: data:; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
 TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
-    ".json": "application/json", ".webp": "image/webp", ".glb": "model/gltf-binary",
+    ".json": "application/json", ".webp": "image/webp", ".ktx2": "image/ktx2", ".glb": "model/gltf-binary",
 }  # fmt: skip
 # Given the path of a request, returns a status to fail with, or bytes to send instead, or None to answer normally.
 Trouble = Callable[[str], int | bytes | None]

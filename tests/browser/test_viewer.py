@@ -28,7 +28,7 @@ GOLDEN = ROOT / "tests" / "golden"
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     out = {}
-    for name in ("placementdb", "placementdb-visible"):
+    for name in ("placementdb", "placementdb-visible", "placementdb-ktx2"):
         folder = tmp_path_factory.mktemp(name)
         shutil.copytree(GOLDEN / name, folder / "placement")
         placement = Placement.open(folder)

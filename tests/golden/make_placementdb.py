@@ -1,4 +1,4 @@
-"""Write tests/golden/placementdb, placementdb-visible and placementdb-detail:
+"""Write tests/golden/placementdb, placementdb-visible, placementdb-detail and placementdb-ktx2:
 
     PYTHONPATH=tests .venv/bin/python tests/golden/make_placementdb.py
 
@@ -34,6 +34,10 @@ GOLDEN: dict[str, dict[str, Any]] = {
     },
     "placementdb-detail": {
         "n_objects": 20, "n_impostors": 5, "budget": 18, "view_boxes": BOXES, "detail": True, "wide": False, "seed": 8,
+    },
+    "placementdb-ktx2": {
+        "n_objects": 12, "n_impostors": 4, "budget": 10, "view_boxes": BOXES, "wide": False, "seed": 9,
+        "page_format": "ktx2",
     },
 }  # fmt: skip
 

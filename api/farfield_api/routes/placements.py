@@ -25,7 +25,10 @@ from farfield_api.state import Service, State
 router = APIRouter(prefix="/v1/placements", tags=["placements"], responses=RESPONSES)
 
 IMMUTABLE = "private, max-age=31536000, immutable"
-TYPES = {".json": "application/json", ".glb": "model/gltf-binary", ".webp": "image/webp", ".png": "image/png"}
+TYPES = {
+    ".json": "application/json", ".glb": "model/gltf-binary", ".webp": "image/webp", ".png": "image/png",
+    ".ktx2": "image/ktx2",
+}  # fmt: skip
 
 
 @router.get("", summary="Placements to look at: ended jobs and registered folders")

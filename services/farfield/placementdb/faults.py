@@ -27,6 +27,8 @@ def manifest_fault(manifest: dict[str, Any]) -> str | None:
         sound = sound and all(
             type(e["file"]) is str and type(e["bytes"]) is int and type(e["sha256"]) is str for e in entries
         )
+        suffix = layout.SUFFIX[manifest["page"].get("format", "webp")]
+        sound = sound and all(e["file"].endswith(suffix) for e in manifest["pages"])
         at = {"cells": 0, "views": 0}
         for entry in manifest["chunks"]:
             for key, stop in (("cells", manifest["counts"]["cells"]), ("views", manifest["counts"]["problem_views"])):
@@ -47,7 +49,7 @@ def index_fault(index: _Columns, manifest: dict[str, Any]) -> str | None:
         row = index["level_row"]
         if row[0] != 0 or row[-1] != len(index["level_from"]) or (np.diff(row) < 0).any():
             return "the rows level_row do not cut what they should"
-    elif manifest["version"] > layout.PLAIN_VERSION:
+    elif manifest["version"] == layout.DETAIL_VERSION:
         return "column level_row is missing"
     count = manifest["counts"]
     for name, key in (("object_box", "objects"), ("cell_node", "cells"), ("impostor_cluster", "impostors")):

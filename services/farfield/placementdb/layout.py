@@ -6,8 +6,10 @@ import numpy as np
 
 from farfield.impostor.weight import PAGE_TEXELS as PAGE_TEXELS
 
-FORMAT, VERSION = "farfield placement", 4
-PLAIN_VERSION = 3  # of a placement without levels of detail: readers of that version know all of it. Older: refused
+FORMAT, VERSION = "farfield placement", 5
+# A placement states the least version whose readers know all of it. Older than PLAIN_VERSION: refused.
+PLAIN_VERSION, DETAIL_VERSION, FORMATS_VERSION = 3, 4, 5  # nothing special, levels of detail, pages other than WebP
+SUFFIX = {"webp": ".webp", "png": ".png", "ktx2": ".ktx2"}  # of a page, by its format
 MANIFEST = "manifest.json"
 INDEX_KIND, CHUNK_KIND = "PlacementIndex", "PlacementChunk"
 NAME_DIGITS = 16  # hex digits of the SHA-256 in a file's name

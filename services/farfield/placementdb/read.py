@@ -34,7 +34,7 @@ from farfield.geometry.cells import CellTree, find_cell
 from farfield.placementdb import layout
 from farfield.placementdb.faults import chunk_fault, index_fault, manifest_fault
 
-_FILE = re.compile(r"(index-|chunks/|pages/)[0-9a-f]{16}\.(ffc|webp)")
+_FILE = re.compile(r"(index-|chunks/|pages/)[0-9a-f]{16}\.(ffc|webp|png|ktx2)")
 _DIGEST = re.compile(re.escape(layout.DIGEST_KEY) + rb"([0-9a-f]{64})")
 
 
@@ -206,19 +206,14 @@ class Placement:
 
     def page(self, k: int) -> np.ndarray:
         """Return the (1536, 1024, 4) u1 image of page `k` with all its levels, verified."""
-        import io
-
-        from PIL import Image
+        from farfield.placementdb.pages import NotAPage, decode
 
         entry = self.manifest["pages"][k]
         content = _read(self.folder, entry)
         try:
-            image = Image.open(io.BytesIO(content), formats=["WEBP"])
-            if image.size == (layout.PAGE_WIDTH, layout.PAGE_HEIGHT):
-                return np.asarray(image.convert("RGBA"))
-        except OSError as error:
-            raise ColumnsAltered(entry["file"], "it is not a WebP image") from error
-        raise ColumnsAltered(entry["file"], f"its image has {image.size[0]} x {image.size[1]} texels")
+            return decode(content, self.manifest["page"].get("format", "webp"))
+        except NotAPage as error:
+            raise ColumnsAltered(entry["file"], f"it is {error}") from error
 
     def check(self) -> int:
         """Verify every file and return how many there are. Raises as `open` does."""

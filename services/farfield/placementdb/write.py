@@ -57,7 +57,9 @@ def build_files(
 
         lighting = LIGHTING
     threads = len(os.sched_getaffinity(0)) if threads is None else threads
-    pages = build_pages(_page_blocks(baked, pieces, block_page, block_at), threads=threads)
+    pages = build_pages(
+        _page_blocks(baked, pieces, block_page, block_at), page_format=settings.bake.page_format, threads=threads
+    )
     chunks = build_chunks(cells, visible, views, placement, baked, pieces, block_page=block_page, block_at=block_at)
 
     files: dict[str, bytes] = {}
@@ -83,7 +85,8 @@ def build_files(
     impostor_of = np.repeat(np.arange(len(baked.eye)), np.diff(pieces.row))
     users = np.unique(np.stack([block_page[pieces.block], impostor_of], axis=-1), axis=0)[:, 0]
     page_entries = [
-        add("pages/", page, ".webp") | {"impostors": int((users == k).sum())} for k, page in enumerate(pages)
+        add("pages/", page, layout.SUFFIX[settings.bake.page_format]) | {"impostors": int((users == k).sum())}
+        for k, page in enumerate(pages)
     ]
     listed = [index_entry, *chunk_entries, *page_entries]
     counts = _counts(scene, hierarchy, cells, views, placement, pieces)
@@ -173,6 +176,12 @@ def _counts(
     }  # fmt: skip
 
 
+def _version(model: CostModel, settings: Settings) -> int:
+    if settings.bake.page_format != "webp":
+        return layout.FORMATS_VERSION
+    return layout.DETAIL_VERSION if len(model.level_row) else layout.PLAIN_VERSION
+
+
 def _manifest(
     scene: Scene, model: CostModel, visible: VisibleSets, views: ProblemViews, placement: Placement, settings: Settings
 ) -> dict[str, Any]:
@@ -180,7 +189,7 @@ def _manifest(
     low, high = scene.object_box[:, 0], scene.object_box[:, 1]
     prices = ("call", "triangle", "pixel", "impostor", "impostor_triangle", "impostor_pixel")
     return {
-        "format": layout.FORMAT, "version": layout.VERSION if len(model.level_row) else layout.PLAIN_VERSION,
+        "format": layout.FORMAT, "version": _version(model, settings),
         "units": {"length": "m", "angle": "deg", "cost": model.unit, "texture": "texel"},
         "origin_m": origin.tolist(), "view_space": (scene.view_boxes + origin).tolist(),
         "camera": {"fov_deg": model.fov_deg, "width": model.width, "height": model.height},
@@ -195,5 +204,6 @@ def _manifest(
         "page": {
             "size": layout.PAGE_TEXELS, "width": layout.PAGE_WIDTH, "height": layout.PAGE_HEIGHT,
             "levels": [{"x": x, "y": y, "size": size} for x, y, size in layout.LEVELS],
+            **({"format": settings.bake.page_format} if settings.bake.page_format != "webp" else {}),
         },
     }  # fmt: skip

@@ -30,7 +30,7 @@ def answer(placement: Placement, position: Any, direction: Any) -> dict[str, Any
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["placementdb", "placementdb-visible", "placementdb-detail"])
+@pytest.mark.parametrize("name", ["placementdb", "placementdb-visible", "placementdb-detail", "placementdb-ktx2"])
 def test_golden_lookups_are_answered(name: str) -> None:
     placement = Placement.open(GOLDEN / name)
     questions = json.loads((GOLDEN / name / "lookups.json").read_text())

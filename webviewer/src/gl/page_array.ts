@@ -4,8 +4,12 @@
  * The shader finds a page's slot in a small integer texture, so vertex buffers never change when pages come and go.
  */
 import type { Manifest } from "../placementdb/manifest";
+import { readKtx2 } from "./ktx2";
 
 const SLOTS_WIDTH = 1024;
+
+/** A page as it is uploaded: an image that holds all levels, or the bytes of each. */
+export type DecodedPage = ImageBitmap | Uint8Array[];
 
 export class PageArray {
   readonly texture: WebGLTexture;
@@ -73,7 +77,7 @@ export class PageArray {
   }
 
   /** Puts a decoded page into a free slot, or that of the least recently used page outside `keep`; false: none is free. */
-  put(page: number, bitmap: ImageBitmap, keep: ReadonlySet<number>): boolean {
+  put(page: number, decoded: DecodedPage, keep: ReadonlySet<number>): boolean {
     let slot = this.pageIn.indexOf(-1);
     if (slot < 0) {
       for (let s = 0; s < this.slots; s++) {
@@ -85,7 +89,7 @@ export class PageArray {
     this.pageIn[slot] = page;
     this.slotOf[page] = slot;
     this.usedAt[slot] = ++this.tick;
-    this.upload(slot, bitmap);
+    this.upload(slot, decoded);
     this.writeSlots();
     this.version++;
     return true;
@@ -107,7 +111,7 @@ export class PageArray {
     return levels;
   }
 
-  private upload(slot: number, bitmap: ImageBitmap): void {
+  private upload(slot: number, decoded: DecodedPage): void {
     const { gl } = this;
     gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.texture);
@@ -115,10 +119,14 @@ export class PageArray {
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
     gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
-    this.layout.levels.forEach((level, k) => {
-      gl.pixelStorei(gl.UNPACK_SKIP_PIXELS, level.x);
-      gl.pixelStorei(gl.UNPACK_SKIP_ROWS, level.y);
-      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, k, 0, 0, slot, level.size, level.size, 1, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+    this.layout.levels.forEach(({ x, y, size }, k) => {
+      if (Array.isArray(decoded)) {
+        gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, k, 0, 0, slot, size, size, 1, gl.RGBA, gl.UNSIGNED_BYTE, decoded[k]);
+        return;
+      }
+      gl.pixelStorei(gl.UNPACK_SKIP_PIXELS, x);
+      gl.pixelStorei(gl.UNPACK_SKIP_ROWS, y);
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, k, 0, 0, slot, size, size, 1, gl.RGBA, gl.UNSIGNED_BYTE, decoded);
     });
     gl.pixelStorei(gl.UNPACK_SKIP_PIXELS, 0);
     gl.pixelStorei(gl.UNPACK_SKIP_ROWS, 0);
@@ -136,8 +144,15 @@ export class PageArray {
 }
 
 /** Decodes a page without touching colour under small alpha: neither premultiplied nor colour managed. */
-export async function decodePage(bytes: Uint8Array): Promise<ImageBitmap> {
-  return createImageBitmap(new Blob([bytes as Uint8Array<ArrayBuffer>], { type: "image/webp" }), {
+export async function decodePage(bytes: Uint8Array, page: Manifest["page"]): Promise<DecodedPage> {
+  if (page.format === "ktx2") return readKtx2(bytes, page.levels.map((level) => level.size));
+  const bitmap = await createImageBitmap(new Blob([bytes as Uint8Array<ArrayBuffer>], { type: `image/${page.format ?? "webp"}` }), {
     premultiplyAlpha: "none", colorSpaceConversion: "none", imageOrientation: "none" as ImageOrientation,
   });
+  if (bitmap.width !== page.width || bitmap.height !== page.height) throw new Error(`its image has ${bitmap.width} x ${bitmap.height} texels`);
+  return bitmap;
+}
+
+export function dropPage(decoded: DecodedPage): void {
+  if (!Array.isArray(decoded)) decoded.close();
 }

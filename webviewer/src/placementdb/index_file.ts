@@ -1,7 +1,7 @@
 /** The index, kind `PlacementIndex`: cells, objects, clusters, impostor summaries (format section 3). */
 import { ColumnReader, unpack } from "./columns";
 import { ColumnsAltered } from "./errors";
-import { PLAIN_VERSION, type Manifest } from "./manifest";
+import { DETAIL_VERSION, type Manifest } from "./manifest";
 
 export interface PlacementIndex {
   nodeAxis: Int8Array;
@@ -43,7 +43,7 @@ export function readIndex(bytes: Uint8Array, where: string, manifest: Manifest):
   const r = new ColumnReader(container, where);
   const { nodes: K, cells: L, objects: N, clusters: C, impostors: I } = manifest.counts;
   const detailed = r.length("level_row") > 0;
-  if (!detailed && manifest.version > PLAIN_VERSION) throw new ColumnsAltered(where, "column level_row is not there");
+  if (!detailed && manifest.version === DETAIL_VERSION) throw new ColumnsAltered(where, "column level_row is not there");
   const index: PlacementIndex = {
     nodeAxis: r.i1("node_axis", K),
     nodePlane: r.f8("node_plane", K),

@@ -2,7 +2,8 @@
 import { ColumnsAltered, ColumnsTooNew, ColumnsTruncated, NotColumns } from "./errors";
 import { sha256 } from "./sha256";
 
-export const MANIFEST_VERSION = 4;
+export const MANIFEST_VERSION = 5;
+export const DETAIL_VERSION = 4; // with levels of detail; 5: with pages other than WebP, with levels or without
 export const PLAIN_VERSION = 3; // without levels of detail. Older ones are refused: their alpha held no coverage
 
 export type Vec3 = [number, number, number];
@@ -27,6 +28,7 @@ export interface PageLevel {
   y: number;
   size: number;
 }
+export type PageFormat = "webp" | "png" | "ktx2"; // left out: webp
 export type CostUnit = "ns" | "calls" | "triangles";
 export interface CostModel {
   per_frame: number;
@@ -60,7 +62,7 @@ export interface Manifest {
   visibility: string;
   lighting: Record<string, unknown> | null;
   verdict: "valid" | "infeasible" | "unproven";
-  page: { size: number; width: number; height: number; levels: PageLevel[] };
+  page: { size: number; width: number; height: number; levels: PageLevel[]; format?: PageFormat };
   index: FileEntry;
   chunks: ChunkEntry[];
   pages: PageEntry[];
@@ -126,5 +128,7 @@ function findFault(m: Manifest): string | null {
   if (m.chunks.some((c, i) => i > 0 && c.cells[0] < m.chunks[i - 1].cells[1])) return "chunks overlap";
   if (m.counts.pages !== m.pages.length || m.counts.chunks !== m.chunks.length) return "counts are not those of its lists";
   if (!m.page || !Array.isArray(m.page.levels) || !m.page.levels.every((l) => count(l.x) && count(l.y) && count(l.size))) return "page is not readable";
+  const format = m.page.format ?? "webp";
+  if (!["webp", "png", "ktx2"].includes(format) || !m.pages.every((p) => p.file.endsWith(`.${format}`))) return "pages are not of the stated format";
   return null;
 }

@@ -7,7 +7,7 @@ import { Placement, type FetchBytes } from "./placement";
 import { sha256, sha256Plain } from "./sha256";
 
 const GOLDEN = resolve(import.meta.dirname, "../../../tests/golden");
-const TREES = ["placementdb", "placementdb-visible", "placementdb-detail"];
+const TREES = ["placementdb", "placementdb-visible", "placementdb-detail", "placementdb-ktx2"];
 
 type Change = (name: string, bytes: Uint8Array) => Uint8Array | null;
 
@@ -81,7 +81,7 @@ describe.each(TREES)("%s", (tree) => {
       return Placement.open(reads(tree, (n, b) => (n === "manifest.json" ? changed : b)));
     };
     await open(() => {});
-    await expect(open((m) => (m.version = 5))).rejects.toMatchObject({ code: "ColumnsTooNew", message: expect.stringContaining("version 5") });
+    await expect(open((m) => (m.version = 6))).rejects.toMatchObject({ code: "ColumnsTooNew", message: expect.stringContaining("version 6") });
     await expect(open((m) => (m.format = "other"))).rejects.toMatchObject({ code: "NotColumns" });
     await expect(open((m) => (m.index.file = "../secret"))).rejects.toMatchObject({ code: "ColumnsAltered" });
     await expect(open((m) => (m.chunks[0].cells = [5, 1e9]))).rejects.toMatchObject({ code: "ColumnsAltered" });

@@ -3,7 +3,7 @@
  *
  * A file that arrives damaged is not asked for again: its impostors stay geometry, and the page says so.
  */
-import { decodePage, type PageArray } from "../gl/page_array";
+import { decodePage, dropPage, type DecodedPage, type PageArray } from "../gl/page_array";
 import { PlacementFileError } from "../placementdb/errors";
 import type { Placement } from "../placementdb/placement";
 import { AccessDenied } from "./files";
@@ -18,7 +18,7 @@ export class Streamer {
   plan: Plan = { chunks: [], pages: [] };
   private wanted: ReadonlySet<number> = new Set();
   private readonly flying = new Map<string, AbortController>();
-  private readonly decoded: { page: number; bitmap: ImageBitmap }[] = [];
+  private readonly decoded: { page: number; content: DecodedPage }[] = [];
   private readonly placement: Placement;
   private readonly pages: PageArray;
   private readonly onChunk: () => void;
@@ -69,9 +69,9 @@ export class Streamer {
   /** Moves up to `most` decoded pages into video memory; called once a frame. */
   upload(most: number): void {
     for (let n = 0; n < most && this.decoded.length; n++) {
-      const { page, bitmap } = this.decoded.shift()!;
-      if (this.wanted.has(page) && !this.pages.isResident(page)) this.pages.put(page, bitmap, this.wanted);
-      bitmap.close();
+      const { page, content } = this.decoded.shift()!;
+      if (this.wanted.has(page) && !this.pages.isResident(page)) this.pages.put(page, content, this.wanted);
+      dropPage(content);
     }
     this.pump();
   }
@@ -121,10 +121,8 @@ export class Streamer {
 
   private async fetchPage(page: number, signal: AbortSignal): Promise<void> {
     const bytes = await this.placement.page(page, signal);
-    const bitmap = await decodePage(bytes);
-    const { width, height } = this.placement.manifest.page;
-    if (bitmap.width !== width || bitmap.height !== height) throw new Error(`its image has ${bitmap.width} x ${bitmap.height} texels`);
-    if (signal.aborted) bitmap.close();
-    else this.decoded.push({ page, bitmap });
+    const content = await decodePage(bytes, this.placement.manifest.page);
+    if (signal.aborted) dropPage(content);
+    else this.decoded.push({ page, content });
   }
 }
