@@ -28,6 +28,12 @@ class Queue:
         )  # fmt: skip
         self.engine = engine
 
+    def check(self) -> None:
+        """Raise where the broker does not answer."""
+        with self.celery.connection_for_write(connect_timeout=1.0) as connection:
+            connection.ensure_connection(max_retries=1, interval_start=0, interval_step=0)
+            connection.default_channel.client.ping()
+
     def send(self, message: Message) -> None:
         """Tell a worker of the queue about the shard."""
         try:
@@ -36,5 +42,3 @@ class Queue:
             )
         except OperationalError:
             log.warning("the broker does not answer; the reconciler will send shard %s", message.shard_id)
-            return
-        progress.mark_sent(self.engine, [message.shard_id])

@@ -107,7 +107,7 @@ def worker(service, monkeypatch):
     pipeline = replace(toy_pipeline.PIPELINE, isolated=frozenset())
 
     def run():
-        waiting = progress.undelivered(service.engine, resend_s=-1.0)
+        waiting = progress.ready(service.engine)
         while waiting:
             waiting += work(service.engine, artifacts, pipeline, settings, waiting.pop(0).shard_id)
 

@@ -167,7 +167,7 @@ class PageService:
         )  # fmt: skip
         artifacts, pipeline = LocalArtifacts(self.settings.artifacts), _pipeline()
         while not self._stop.wait(0.02):
-            waiting = progress.undelivered(self.engine, resend_s=-1.0) if self.working.is_set() else []
+            waiting = progress.ready(self.engine) if self.working.is_set() else []
             while waiting and self.working.is_set() and not self._stop.is_set():
                 with suppress(Exception):  # the toy fails where it is told to; the shard's row says so
                     waiting += work(self.engine, artifacts, pipeline, settings, waiting.pop(0).shard_id)

@@ -162,10 +162,10 @@ def test_who_lost_the_lease_commits_nothing(in_process):
     digest = in_process.artifacts.put(b'{"skip": null, "shards": ["all"]}')
     result = {"digest": digest, "n_bytes": 33, "key": None, "seconds": 0.0, "peak_bytes": 1}
     assert not shards.renew(in_process.engine, old)
-    assert not shards.commit(in_process.engine, old, **result)
+    assert shards.commit(in_process.engine, old, **result) == "lost"
     assert shards.fail(in_process.engine, old, error={}, log="", again=True) == "lost"
     assert shards.renew(in_process.engine, new)
-    assert shards.commit(in_process.engine, new, **result)
+    assert shards.commit(in_process.engine, new, **result) == "last"
     assert new.attempt == 2
     assert in_process.job(job_id).state == "running"
 
@@ -184,8 +184,8 @@ def test_a_job_has_one_optimizer_at_a_time_and_its_fence_grows(in_process):
     second = shards.claim(in_process.engine, "other", worker="b")
     assert second.fence > first.fence
     result = {"digest": "0" * 64, "n_bytes": 0, "key": None, "seconds": 0.0, "peak_bytes": 1}
-    assert not shards.commit(in_process.engine, first, **result)
-    assert shards.commit(in_process.engine, second, **result)
+    assert shards.commit(in_process.engine, first, **result) == "lost"
+    assert shards.commit(in_process.engine, second, **result) != "lost"
 
 
 def test_a_cancelled_job_stops_its_shard_and_starts_no_other(in_process):
@@ -218,9 +218,8 @@ def _sleepy():
 
 def test_the_reconciler_finds_what_nobody_was_told_of(in_process):
     job_id, _ = in_process.submit()
-    assert [m.queue for m in progress.undelivered(in_process.engine)] == ["cpu"]
-    assert progress.undelivered(in_process.engine) == []  # sent a moment ago
-    (message,) = progress.undelivered(in_process.engine, resend_s=-1.0)
+    assert progress.waiting(in_process.engine, "cpu") == 1
+    (message,) = progress.ready(in_process.engine)
     in_process.run(message)
     assert in_process.job(job_id).state == "done"
 
@@ -230,7 +229,7 @@ def test_the_reconciler_moves_on_what_a_dead_worker_left_between_commit_and_adva
     held = shards.claim(in_process.engine, message.shard_id, worker="dead")
     digest = in_process.artifacts.put(b'{"skip": null, "shards": ["all"]}')
     shards.commit(in_process.engine, held, digest=digest, n_bytes=33, key=None, seconds=0.0, peak_bytes=1)
-    assert progress.undelivered(in_process.engine) == []
+    assert progress.ready(in_process.engine) == []
     assert progress.standing_still(in_process.engine) == [job_id]
     kinds = in_process.pipeline.kinds()
     (message,) = progress.advance(in_process.engine, in_process.artifacts, job_id, kinds)
@@ -244,7 +243,7 @@ def test_three_dead_workers_fail_the_job(in_process):
         assert shards.claim(in_process.engine, message.shard_id, worker=f"w{attempt}")
         progress.release_worker(in_process.engine, f"w{attempt}")
     assert shards.claim(in_process.engine, message.shard_id, worker="w3") is None
-    assert progress.undelivered(in_process.engine) == []
+    assert progress.ready(in_process.engine) == []
     for job_id in progress.standing_still(in_process.engine):
         progress.advance(in_process.engine, in_process.artifacts, job_id, in_process.pipeline.kinds())
     assert in_process.job(job_id).error["code"] == "WorkerDied"
@@ -259,7 +258,7 @@ def test_deleting_a_job_keeps_what_others_need(in_process):
     in_process.run(message)
     said, none = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=True)
     assert none == []
-    done, digests = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=False)
+    done, digests = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=False, remove=bool)
     assert done == said
     # Its report, its files and their evaluation, and the plan of neither: those bytes are the first job's, too.
     assert len(digests) == said["artifacts"] == 3
@@ -281,7 +280,7 @@ def test_stopping_the_service_is_no_attempt(in_process):
     for _ in range(4):
         assert shards.claim(in_process.engine, message.shard_id, worker="w")
         assert progress.hand_back(in_process.engine) == 1
-    (message,) = progress.undelivered(in_process.engine)
+    (message,) = progress.ready(in_process.engine)
     in_process.run(message)
     assert in_process.job(job_id).state == "done"
 
@@ -295,17 +294,20 @@ def test_a_job_that_cannot_move_holds_up_no_other(in_process, monkeypatch):
     stuck, message = in_process.submit()
     held = shards.claim(in_process.engine, message.shard_id, worker="dead")
     lost = {"digest": "0" * 64, "n_bytes": 33, "key": None, "seconds": 0.0, "peak_bytes": 1}
-    assert shards.commit(in_process.engine, held, **lost)
-    with write(in_process.engine) as tx:
-        tx.execute(sa.update(shard).where(shard.c.job_id == stuck).values(sent_at=now()))
-    _, message = in_process.submit()
-    sent = []
-    for name in ("engine", "artifacts", "pipeline"):
+    assert shards.commit(in_process.engine, held, **lost) == "last"
+    other, message = in_process.submit(shards=3)
+    held = shards.claim(in_process.engine, message.shard_id, worker="dead")
+    plan = in_process.artifacts.put(b'{"skip": null, "shards": ["all"]}')
+    shards.commit(in_process.engine, held, digest=plan, n_bytes=33, key=None, seconds=0.0, peak_bytes=1)
+    woken = []
+    for name in ("engine", "artifacts", "pipeline", "settings"):
         monkeypatch.setattr(reconciler, name, lambda name=name: getattr(in_process, name))
-    monkeypatch.setattr(reconciler, "send", sent.extend)
+    monkeypatch.setattr(reconciler, "wake", lambda queues: woken.extend(queues) or 0)
+    assert set(progress.standing_still(in_process.engine)) == {stuck, other}
+    reconciler.reconcile()
+    assert woken == ["cpu", "optimizer", "gl"]
+    assert [m.queue for m in progress.ready(in_process.engine)] == ["cpu"]
     assert progress.standing_still(in_process.engine) == [stuck]
-    assert reconciler.reconcile() == 1
-    assert [m.shard_id for m in sent] == [message.shard_id]
 
 
 def test_a_result_deleted_with_another_job_is_computed_again(in_process):

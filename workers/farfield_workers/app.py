@@ -6,23 +6,29 @@ a slot. A message may come twice, late or never; the tables decide, and the reco
 
 import functools
 import logging
+import time
 from collections.abc import Iterable
+from typing import Any
 
 import sqlalchemy as sa
 from celery import Celery
 from celery.signals import worker_process_init
-from farfield.stages import RUN_SHARD
+from farfield.stages import RUN_SHARD, Queue
 from farfield.store import progress
 from farfield.store.artifacts import Artifacts, open_artifacts
 from farfield.store.engine import open_engine
-from farfield.store.progress import Message
+from farfield.store.progress import WINDOW
 from kombu.exceptions import OperationalError
 
+from farfield_workers.lease import UNREACHABLE
 from farfield_workers.settings import WorkerSettings, from_environment
 from farfield_workers.table import Pipeline, load_pipeline
-from farfield_workers.work import work
+from farfield_workers.work import work_next
 
 log = logging.getLogger(__name__)
+
+TURN_S = 1.0
+BROKER_AWAY = (OperationalError, ConnectionError, TimeoutError)
 
 
 @functools.cache
@@ -68,19 +74,46 @@ def after_fork(**_: object) -> None:
 
 
 @app.task(name=RUN_SHARD)
-def run_shard(shard_id: str) -> None:
-    """Run one shard. Safe to run twice: what is done is found done."""
-    send(work(engine(), artifacts(), pipeline(), settings(), shard_id))
+def run_shard(shard_id: str = "") -> None:
+    """Run what the message's queue holds next, for TURN_S at least; which shard it was sent for matters to nobody.
+
+    Many small shards a message: Celery takes as long for one as the tables do.
+    """
+    queue = (run_shard.request.delivery_info or {}).get("routing_key") or str(Queue.CPU)
+    end = time.monotonic() + TURN_S
+    wake([queue])  # who else could work on it
+    while (messages := work_next(engine(), artifacts(), pipeline(), settings(), queue)) is not None:
+        wake({message.queue for message in messages})
+        if time.monotonic() > end:
+            break
+    wake([queue])
 
 
-def send(messages: Iterable[Message]) -> None:
-    """Hand the messages to the broker; where it does not answer, the reconciler sends them later."""
-    sent = []
+def wake(queues: Iterable[str]) -> int:
+    """See that each queue has a message for every shard that is ready, up to WINDOW; return how many were sent.
+
+    The broker is asked how many it has: one that forgot them all, or whose messages were taken by workers that died,
+    is filled again by whoever asks next, the reconciler at the latest.
+    """
+    number = 0
     try:
-        for message in messages:
-            app.send_task(RUN_SHARD, args=[message.shard_id], queue=message.queue)
-            sent.append(message.shard_id)
-    except OperationalError:
-        log.warning("the broker does not answer; the reconciler will send again")
-    if sent:
-        progress.mark_sent(engine(), sent)
+        with app.producer_pool.acquire(block=True) as producer:
+            for queue in queues:
+                depth = _depth(producer.channel, queue)
+                missing = progress.waiting(engine(), queue) - depth if depth < WINDOW // 2 else 0
+                for _ in range(missing):
+                    app.send_task(RUN_SHARD, queue=queue, producer=producer)
+                number += max(missing, 0)
+    except BROKER_AWAY:
+        log.warning("the broker does not answer; the reconciler will wake the workers")
+    except UNREACHABLE:
+        log.warning("the database does not answer; the reconciler will wake the workers")
+    return number
+
+
+def _depth(channel: Any, queue: str) -> int:
+    """Return how many messages wait in the queue; one that nobody has sent to yet is not there."""
+    try:
+        return int(channel.queue_declare(queue, passive=True).message_count)
+    except channel.connection.client.channel_errors:
+        return 0

@@ -1,4 +1,4 @@
-"""Makes true what the tables say: sends what is ready and undelivered or whose lease ran out, moves on what stands.
+"""Makes true what the tables say: takes back what lost its lease, moves on what stands still, wakes who could work.
 
 Nothing relies on the broker's redelivery: a flushed broker costs one round of this loop.
 """
@@ -7,10 +7,12 @@ import logging
 import signal
 import threading
 
-import sqlalchemy as sa
+from farfield.stages import Queue
 from farfield.store import progress
 
-from farfield_workers.app import artifacts, engine, pipeline, send
+from farfield_workers.app import artifacts, engine, pipeline, settings, wake
+from farfield_workers.lease import UNREACHABLE
+from farfield_workers.work import advance
 
 EVERY_S = 2.0
 
@@ -19,20 +21,17 @@ log = logging.getLogger(__name__)
 
 def reconcile() -> int:
     """Do one round and return how many messages it sent."""
-    messages = progress.undelivered(engine())
-    send(messages)  # before anything can fail: they are marked as sent
-    number = len(messages)
+    taken = progress.reclaim(engine(), lease_s=settings().lease_s)
+    if taken:
+        log.warning("took back %d shards whose workers did not renew their leases", taken)
     for job_id in progress.standing_still(engine()):
         try:
-            messages = progress.advance(engine(), artifacts(), job_id, pipeline().kinds())
-        except sa.exc.OperationalError:
+            advance(engine(), artifacts(), pipeline(), settings(), job_id)
+        except UNREACHABLE:
             raise
         except Exception:  # one job that cannot move, such as with a lost artifact, must not hold up the others
             log.exception("job %s cannot be moved on", job_id)
-            continue
-        send(messages)
-        number += len(messages)
-    return number
+    return wake(map(str, Queue))
 
 
 def main() -> None:
@@ -46,7 +45,7 @@ def main() -> None:
             sent = reconcile()
             if sent:
                 log.info("sent %d messages", sent)
-        except sa.exc.OperationalError:
+        except UNREACHABLE:
             log.warning("the database does not answer", exc_info=True)
 
 

@@ -99,7 +99,6 @@ def serve(options: Options) -> int:
             migrate(engine)
             key, made = first_key(engine, options.data / "api-key")
             progress.release_worker(engine, None)  # we hold the lock: whoever held a lease is dead
-            progress.forget_sent(engine)
             LocalArtifacts(options.data / "artifacts").clear_temporary()
             command, broker = broker_command(runtime)
             environment = {
@@ -120,7 +119,6 @@ def serve(options: Options) -> int:
                     command=command,
                     environment=dict,
                     log=log / "broker.log",
-                    died=lambda given: _forget_sent(engine),
                 )
             )
             children[0].start()
@@ -171,13 +169,6 @@ def _python_children(
             )
         )
     return found
-
-
-def _forget_sent(engine: sa.Engine) -> None:
-    try:
-        progress.forget_sent(engine)
-    except sa.exc.OperationalError as error:  # the reconciler then waits longer before it sends again
-        print(f"farfield: the broker has ended, and the database does not answer: {error}", file=sys.stderr)
 
 
 def _release(engine: sa.Engine, worker: str) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from farfield.memory import HEADROOM, memory_bytes
 from farfield.store.artifacts import CACHE_BYTES
 
 THE_PIPELINE = "farfield_workers.table:PIPELINE"
@@ -24,6 +25,8 @@ class WorkerSettings:
     renew_s: float  # how often a lease is renewed, and how soon a cancel is noticed
     scene_memory_bytes: int  # address space of the process that parses a scene
     scene_seconds: int
+    host: str = ""  # whose memory we share with other workers of this name
+    memory_bytes: int | None = None  # what all shards on the host together may need; None: not looked at
     cache: Path | None = None  # where copies of remote artifacts lie; None: ~/.cache/farfield
     cache_bytes: int = CACHE_BYTES
 
@@ -40,6 +43,13 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSetti
         renew_s=float(environment.get("FARFIELD_RENEW_S", 5)),
         scene_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
         scene_seconds=int(environment.get("FARFIELD_SCENE_SECONDS", 900)),
+        host=environment.get("FARFIELD_HOST", socket.gethostname()),
+        memory_bytes=_memory(environment.get("FARFIELD_MEMORY_BYTES", "auto")),
         cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
         cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
     )
+
+
+def _memory(text: str) -> int | None:
+    """Return what "auto" (most of the machine's, or of the container's), "off" or a number of bytes stands for."""
+    return int(HEADROOM * memory_bytes()) if text == "auto" else None if text == "off" else int(text)

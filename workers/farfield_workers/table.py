@@ -18,12 +18,19 @@ class Pipeline:
     steps: Mapping[Stage, Step]
     report: Callable[[Inputs, Sequence[StageRun]], Mapping[str, Any]]
     optional: frozenset[Stage] = frozenset()  # where one fails for good the job goes on without it
+    resumes: frozenset[Stage] = frozenset({Stage.PLACEMENT})  # keeps a checkpoint, which the next attempt goes on from
     isolated: frozenset[Stage] = frozenset()  # parses hostile files: in a child process with limits
 
     def kinds(self) -> dict[str, StageKind]:
         """Return what moving a job on needs to know."""
         return {
-            str(s): StageKind(queue=str(step.queue), merges=step.merge is not None, optional=s in self.optional)
+            str(s): StageKind(
+                queue=str(step.queue),
+                merges=step.merge is not None,
+                optional=s in self.optional,
+                inputs=tuple(map(str, step.inputs)),
+                need=step.need,
+            )
             for s, step in self.steps.items()
         }
 
@@ -45,6 +52,6 @@ def _report(inputs: Inputs, stages: Sequence[StageRun]) -> Mapping[str, Any]:
 PIPELINE = Pipeline(
     steps=STEPS,
     report=_report,
-    optional=frozenset({Stage.EVALUATION}),  # the placement then stands as unproven
+    optional=frozenset({Stage.EVALUATION, Stage.PROOF}),  # the placement then stands as unproven
     isolated=frozenset({Stage.SCENE}),
 )

@@ -4,79 +4,134 @@ Safe to run twice, at once, and to be killed at any point: the result is a blob 
 attempt to be still ours, and moving on is a compare-and-set that anyone may repeat.
 """
 
-import ctypes
 import logging
 import os
-import threading
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
+from errno import EDQUOT, ENOSPC
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import sqlalchemy as sa
-from farfield.errors import FarfieldError, StageFailed
+from farfield import memory
+from farfield.errors import FarfieldError, OverMemory, StageFailed, StoreUnavailable
 from farfield.pipeline import Inputs, shard_key
 from farfield.settings import from_mapping
 from farfield.stages import Stage
 from farfield.store import progress, shards
 from farfield.store.artifacts import Artifacts
+from farfield.store.fair import Host, next_shard
 from farfield.store.progress import Message
 from farfield.store.shards import Claim
 
 from farfield_workers.compute import Call, Result, compute, compute_isolated
+from farfield_workers.lease import HandedOver, ShardStopped, leased, patiently
+from farfield_workers.restore import Restorer
 from farfield_workers.settings import WorkerSettings
 from farfield_workers.table import Pipeline
 
 log = logging.getLogger(__name__)
 
 
-class ShardStopped(BaseException):
-    """The shard is no longer ours: its job was cancelled, or another worker took it over."""
+def work_next(
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, queue: str
+) -> list[Message] | None:
+    """Run the shard of the queue whose turn it is and return the messages to send; None where there is none."""
+    found = patiently(lambda: next_shard(engine, queue, here(settings)))
+    if found is None:
+        return None
+    if not found.too_large:
+        return work(engine, artifacts, pipeline, settings, found.shard_id)
+    refusal = OverMemory(found.need_bytes, settings.memory_bytes or 0)
+    error = {"code": refusal.code, "message": str(refusal), "advice": refusal.advice}
+    job_id = patiently(lambda: shards.refuse(engine, found.shard_id, error))
+    return advance(engine, artifacts, pipeline, settings, job_id) if job_id is not None else []
+
+
+def here(settings: WorkerSettings) -> Host:
+    """Return the host of this worker, and what it has free."""
+    if settings.memory_bytes is None:
+        return Host(name=settings.host)
+    free = memory.free_bytes() + memory.resident_bytes()
+    return Host(name=settings.host, memory_bytes=settings.memory_bytes, free_bytes=free)
 
 
 def work(
     engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, shard_id: str
 ) -> list[Message]:
     """Run the shard if it is to be run, and return the messages to send."""
-    held = shards.claim(engine, shard_id, worker=settings.worker, lease_s=settings.lease_s)
+    host = Host(name=settings.host, memory_bytes=settings.memory_bytes)
+    held = patiently(
+        lambda: shards.claim(engine, shard_id, worker=settings.worker, lease_s=settings.lease_s, host=host)
+    )
     if held is None:
         return []
     where = {"job": held.job_id, "stage": held.stage, "kind": held.kind, "ordinal": held.ordinal}
     try:
-        _run(engine, artifacts, pipeline, settings, held)
+        if _run(engine, artifacts, pipeline, settings, held) == "more":
+            return []
     except ShardStopped:
         log.info("stopped %s", where)
         return []
     except Exception as error:
         log.exception("failed %s attempt %d", where, held.attempt)
-        # A named error is a fact about the input: another attempt would find the same.
-        named = isinstance(error, FarfieldError) and not isinstance(error, StageFailed)
-        told = _told(error, held.stage)
-        state = shards.fail(engine, held, error=told, log=traceback.format_exc(), again=not named)
-        if state == "ready":
-            queue = str(pipeline.steps[Stage(held.stage)].queue) if held.kind in ("run", "merge") else "cpu"
-            return [Message(shard_id, queue)]
-    return progress.advance(engine, artifacts, held.job_id, pipeline.kinds())
+        if _given_back(engine, held, error) == "ready":
+            return [Message(shard_id, held.queue)]
+    return advance(engine, artifacts, pipeline, settings, held.job_id)
 
 
-def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, held: Claim) -> None:
+def advance(
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, job_id: str
+) -> list[Message]:
+    """Move the job on; a plan or a report that the store has damaged meanwhile is mended first."""
+    mender = restorer(engine, artifacts, pipeline, settings)
+
+    def move() -> list[Message]:
+        return patiently(lambda: progress.advance(engine, artifacts, job_id, pipeline.kinds()))
+
+    return mender.mending(move, job_id)
+
+
+def restorer(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings) -> Restorer:
+    """Return what mends artifacts with the stages of this pipeline."""
+    return Restorer(
+        engine, artifacts, lambda made, folder, until_done: _call(artifacts, made, pipeline, folder, until_done),
+        lambda call, out: _compute(pipeline, settings, call, out),
+    )  # fmt: skip
+
+
+def _given_back(engine: sa.Engine, held: Claim, error: Exception) -> str:
+    """Hand the shard back, and return its state (shards.fail)."""
+    told, trace = _told(error, held.stage), "".join(traceback.format_exception(error))
+    if isinstance(error, StoreUnavailable) or (isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT)):
+        return patiently(lambda: shards.put_off(engine, held, error=told, log=trace))
+    # A named error is a fact about the input: another attempt would find the same.
+    named = isinstance(error, FarfieldError) and not isinstance(error, StageFailed)
+    return patiently(lambda: shards.fail(engine, held, error=told, log=trace, again=not named))
+
+
+def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, held: Claim) -> str:
+    """Compute and commit; return what the commit says: whether the job may move on."""
     started = time.perf_counter()
     key = _key(pipeline, held)
-    # Written by whoever runs the shard, under the name of all that shapes its result: it needs no fence.
-    checkpoint = key.replace(":", "-") if key is not None else None
-    with _leased(engine, held, settings), ExitStack() as until_done:
+    resumes = key is not None and held.kind != "plan" and Stage(held.stage) in pipeline.resumes
+    checkpoint = key.replace(":", "-") if key is not None and resumes else None
+    with ExitStack() as until_done:
         folder = Path(until_done.enter_context(TemporaryDirectory(dir=artifacts.temporary, prefix="shard-")))
+        handed = HandedOver(folder / "checkpoint")
+        until_done.enter_context(leased(engine, held, settings, renewed=handed.give))
         known = shards.known_result(engine, key) if key is not None else None
         if known is not None and artifacts.has(known.artifact_digest):
             found = Result(known.artifact_digest, artifacts.n_bytes(known.artifact_digest), known.peak_bytes or 0)
             seconds, cached = known.seconds or 0.0, True
         else:
-            call = _call(artifacts, held, pipeline, folder, until_done)
+            mender = restorer(engine, artifacts, pipeline, settings)
+            call = mender.mending(lambda: _call(artifacts, held, pipeline, folder, until_done), held.job_id)
             if checkpoint is not None:
-                call = replace(call, checkpoint=str(until_done.enter_context(artifacts.checkpoint(checkpoint))))
+                handed.begin(until_done.enter_context(artifacts.checkpoint(checkpoint)))
+                call = replace(call, checkpoint=str(handed.mine))
             found = _compute(pipeline, settings, call, folder / "artifact")
             artifacts.put_file(folder / "artifact", found.digest)
             seconds, cached = time.perf_counter() - started, False
@@ -87,14 +142,17 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
 
     # What a clock may have stopped is no other job's: it has no key, and its checkpoint stays for who has more time.
     timed = not cached and _timed(pipeline, held)
-    ours = shards.commit(
-        engine, held, digest=found.digest, n_bytes=found.n_bytes, key=None if timed else key, seconds=seconds,
-        peak_bytes=found.peak_bytes, cached=cached, check=there,
+    outcome = patiently(
+        lambda: shards.commit(
+            engine, held, digest=found.digest, n_bytes=found.n_bytes, key=None if timed else key, seconds=seconds,
+            peak_bytes=found.peak_bytes, cached=cached, check=there,
+        )
     )  # fmt: skip
-    if not ours:
+    if outcome == "lost":
         raise ShardStopped
     if checkpoint is not None and not timed:
         artifacts.drop_checkpoint(checkpoint)
+    return outcome
 
 
 def _timed(pipeline: Pipeline, held: Claim) -> bool:
@@ -116,7 +174,7 @@ def _call(artifacts: Artifacts, held: Claim, pipeline: Pipeline, folder: Path, u
         return str(until_done.enter_context(artifacts.local(digest)))
 
     scene_file = folder / f"scene{held.scene_suffix}"
-    if held.stage == Stage.SCENE:  # nobody else reads it
+    if held.stage == Stage.SCENE and not scene_file.exists():  # nobody else reads it
         os.link(local(held.scene_digest), scene_file)
     reads = held.artifacts if held.kind == "report" else map(str, pipeline.steps[Stage(held.stage)].inputs)
     return Call(
@@ -142,38 +200,11 @@ def _told(error: Exception, stage: str) -> dict[str, str]:
     """Return what a client may read: never a stack or a path."""
     if isinstance(error, FarfieldError):
         return {"code": error.code, "message": str(error), "advice": error.advice}
+    if isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT):
+        return {"code": "DiskFull", "message": f"stage {stage} found no space on the disk",
+                "advice": "Ask the operator to make room; a retry then goes on from what is done."}  # fmt: skip
     if isinstance(error, MemoryError):
         return {"code": "OutOfMemory", "message": f"stage {stage} ran out of memory",
                 "advice": "Use fewer workers, or a larger machine."}  # fmt: skip
     return {"code": "StageFailed", "message": f"stage {stage} failed: {type(error).__name__}",
             "advice": "Ask the operator for the log of the shard."}  # fmt: skip
-
-
-@contextmanager
-def _leased(engine: sa.Engine, held: Claim, settings: WorkerSettings) -> Iterator[None]:
-    """Renew the lease from a thread; raise ShardStopped in the caller's thread once it is lost."""
-    caller, ended, guard = threading.get_ident(), threading.Event(), threading.Lock()
-
-    def keep() -> None:
-        while not ended.wait(settings.renew_s):
-            try:
-                kept = shards.renew(engine, held, lease_s=settings.lease_s)
-            except sa.exc.OperationalError:
-                log.warning("the lease of shard %s could not be renewed", held.shard_id, exc_info=True)
-                continue
-            if not kept:
-                with guard:
-                    if not ended.is_set():
-                        ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                            ctypes.c_ulong(caller), ctypes.py_object(ShardStopped)
-                        )
-                return
-
-    thread = threading.Thread(target=keep, name="lease", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        with guard:
-            ended.set()
-        thread.join()

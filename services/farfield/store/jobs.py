@@ -7,28 +7,43 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from farfield.errors import IdempotencyConflict, JobNotFound, JobNotStopped, JobStillRunning, SceneNotFound
+from farfield.errors import (
+    IdempotencyConflict,
+    JobNotFound,
+    JobNotStopped,
+    JobStillRunning,
+    SceneNotFound,
+    WebhookNotFound,
+)
 from farfield.stages import Queue
-from farfield.store import events
+from farfield.store import events, quotas
 from farfield.store.engine import new_id, now, read, write
+from farfield.store.pages import Cursor, holding, newest_first, owned
 from farfield.store.progress import Message, drop_shards
+from farfield.store.quotas import Quota
 from farfield.store.shards import lock_job
-from farfield.store.tables import SHARD_STATES, artifact, event, job, scene, shard, stage
+from farfield.store.tables import PRIORITIES, SHARD_STATES, artifact, event, job, scene, shard, stage, tenant, webhook
 
 ENDED = ("done", "failed", "cancelled")
+NO_QUOTA = Quota()
 
 
 def create(
     engine: sa.Engine, tenant_id: str, *, name: str, scene_digest: str, settings: dict[str, Any],
     stages: Sequence[str], idempotency_key: str | None, device_profile_id: str | None = None,
-    asked: dict[str, Any] | None = None,
+    asked: dict[str, Any] | None = None, priority: str = "normal", webhook_id: str | None = None,
+    quota: Quota = NO_QUOTA,
 ) -> tuple[str, Message | None]:  # fmt: skip
     """Return (job id, message for its first shard); no message where the idempotency key is known.
 
-    asked  the settings as the request had them, where those of the job hold more: what its device has by now
-    Raises SceneNotFound, and IdempotencyConflict where the key came with another request before.
+    asked       the settings as the request had them, where those of the job hold more: what its device has by now
+    webhook_id  a webhook of the tenant that is told of this job, whether it is of all others or not
+    quota       of tenants that have none of their own
+    Raises SceneNotFound, WebhookNotFound, QuotaExceeded, and IdempotencyConflict where the key came with another request
+    before.
     """
-    text = json.dumps([name, scene_digest, settings if asked is None else asked], sort_keys=True, separators=(",", ":"))
+    request = [name, scene_digest, settings if asked is None else asked, *([webhook_id] if webhook_id else [])]
+    text = json.dumps(request, sort_keys=True, separators=(",", ":"))
     request_digest = hashlib.sha256(text.encode()).hexdigest()
     with write(engine) as tx:
         if tx.dialect.name == "postgresql" and idempotency_key is not None:
@@ -43,15 +58,20 @@ def create(
                 if known.request_digest != request_digest:
                     raise IdempotencyConflict(idempotency_key)
                 return known.id, None
-        owned = sa.select(scene.c.digest).where(scene.c.tenant_id == tenant_id, scene.c.digest == scene_digest)
-        if tx.scalar(owned) is None:
+        sent = sa.select(scene.c.digest).where(scene.c.tenant_id == tenant_id, scene.c.digest == scene_digest)
+        if tx.scalar(sent) is None:
             raise SceneNotFound(scene_digest)
+        hook = sa.select(webhook.c.id).where(webhook.c.tenant_id == tenant_id, webhook.c.id == webhook_id)
+        if webhook_id is not None and tx.scalar(hook) is None:
+            raise WebhookNotFound(webhook_id)
+        quotas.check_job(tx, tenant_id, quota)
         job_id = new_id()
         tx.execute(
             sa.insert(job).values(
                 id=job_id, tenant_id=tenant_id, name=name, scene_digest=scene_digest, settings=settings,
-                device_profile_id=device_profile_id, idempotency_key=idempotency_key,
+                device_profile_id=device_profile_id, webhook_id=webhook_id, idempotency_key=idempotency_key,
                 request_digest=request_digest, state="queued", event_seq=0, optimizer_token=0, created_at=now(),
+                priority=PRIORITIES.index(priority), turn=sa.select(sa.func.max(tenant.c.turn)).scalar_subquery(),
             )
         )  # fmt: skip
         rows = [
@@ -77,31 +97,35 @@ def get(engine: sa.Engine, tenant_id: str, job_id: str) -> sa.Row[Any]:
 
 def stages_of(engine: sa.Engine, job_id: str) -> list[dict[str, Any]]:
     """Return the job's stages in order, each with its shards counted by state, its seconds and its peak of memory."""
+    return stages_of_all(engine, [job_id])[job_id]
+
+
+def stages_of_all(engine: sa.Engine, job_ids: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    """Return `stages_of` for each of the jobs, in three queries whose cost does not grow with the shards that are done."""
     with read(engine) as tx:
         clock = float(tx.scalar(sa.select(now())) or 0.0)
-        rows = tx.execute(sa.select(stage).where(stage.c.job_id == job_id).order_by(stage.c.ordinal)).all()
-        counts: dict[str, dict[str, int]] = {}
-        counted = tx.execute(
+        rows = tx.execute(
+            sa.select(stage, job.c.finished_at.label("job_ended")).join(job, job.c.id == stage.c.job_id)
+            .where(stage.c.job_id.in_(job_ids)).order_by(stage.c.ordinal)
+        ).all()  # fmt: skip
+        few = tx.execute(
             sa.select(shard.c.stage_id, shard.c.state, sa.func.count().label("n"))
-            .where(shard.c.job_id == job_id, shard.c.kind == "run").group_by(shard.c.stage_id, shard.c.state)
+            .where(shard.c.job_id.in_(job_ids), shard.c.state.in_(("running", "failed")), shard.c.kind == "run")
+            .group_by(shard.c.stage_id, shard.c.state)
         )  # fmt: skip
-        for r in counted:
-            counts.setdefault(r.stage_id, {})[r.state] = r.n
-        peaks = dict(
-            tx.execute(
-                sa.select(shard.c.stage_id, sa.func.max(shard.c.peak_bytes))
-                .where(shard.c.job_id == job_id).group_by(shard.c.stage_id)
-            ).tuples().all()
-        )  # fmt: skip
-    found = []
+        counts = {(r.stage_id, r.state): r.n for r in few}
+    found: dict[str, list[dict[str, Any]]] = {job_id: [] for job_id in job_ids}
     for r in rows:
-        by_state = counts.get(r.id, {})
+        by_state = dict.fromkeys(SHARD_STATES, 0)
+        by_state.update({s: counts.get((r.id, s), 0) for s in ("running", "failed")}, done=r.n_done)
+        # What neither runs nor has ended waits, or has been dropped with its stage or its job.
+        rest = r.n_shards - sum(by_state.values())
+        by_state["ready" if r.state == "running" and r.job_ended is None else "cancelled"] = max(rest, 0)
         ended = r.finished_at if r.finished_at is not None else clock
-        found.append({
-            "name": r.name, "state": r.state, "skipped": r.skipped,
-            "shards": {"total": sum(by_state.values()), **{s: by_state.get(s, 0) for s in SHARD_STATES}},
+        found[r.job_id].append({
+            "name": r.name, "state": r.state, "skipped": r.skipped, "shards": {"total": r.n_shards, **by_state},
             "seconds": round(ended - r.started_at, 3) if r.started_at is not None else None,
-            "peak_bytes": peaks.get(r.id), "artifact": r.artifact_digest,
+            "peak_bytes": r.peak_bytes, "artifact": r.artifact_digest,
         })  # fmt: skip
     return found
 
@@ -114,29 +138,41 @@ def artifact_of(engine: sa.Engine, job_id: str, stage_name: str) -> str | None:
         )  # fmt: skip
 
 
-def shards_of(engine: sa.Engine, job_id: str, stage_name: str) -> list[sa.Row[Any]]:
-    """Return the stage's shards, in order of kind and place."""
+def shards_of(
+    engine: sa.Engine, job_id: str, stage_name: str, *, start: int = 0, limit: int | None = None
+) -> list[sa.Row[Any]]:
+    """Return the stage's shards, in order of kind and place: those of place `start` on, at most `limit` of them."""
     with read(engine) as tx:
         return list(
             tx.execute(
                 sa.select(shard).join(stage, stage.c.id == shard.c.stage_id)
-                .where(shard.c.job_id == job_id, stage.c.name == stage_name).order_by(shard.c.kind, shard.c.ordinal)
+                .where(shard.c.job_id == job_id, stage.c.name == stage_name, shard.c.ordinal >= start)
+                .order_by(shard.c.kind, shard.c.ordinal).limit(limit)
             )
         )  # fmt: skip
 
 
 def page(
-    engine: sa.Engine, tenant_id: str, *, state: str | None, before: tuple[float, str] | None, limit: int
-) -> list[sa.Row[Any]]:
-    """Return up to `limit` jobs, newest first, that come after the cursor `before` (created_at, id)."""
-    query = sa.select(job).where(job.c.tenant_id == tenant_id)
-    if state is not None:
-        query = query.where(job.c.state == state)
-    if before is not None:
-        created_at, job_id = before
-        query = query.where((job.c.created_at < created_at) | ((job.c.created_at == created_at) & (job.c.id < job_id)))
+    engine: sa.Engine, tenant_id: str, *, before: Cursor | None, limit: int, state: str | None = None,
+    scene_digest: str | None = None, verdict: str | None = None, name: str | None = None, since: float | None = None,
+    until: float | None = None,
+) -> list[sa.Row[Any]]:  # fmt: skip
+    """Return up to `limit` jobs, newest first, after the cursor.
+
+    name          some of the job's name, whatever the case
+    since, until  seconds since 1970 UTC: created then or later, and before
+    """
+    wanted = [
+        owned(job.c.tenant_id, tenant_id),
+        *(column == value for column, value in ((job.c.state, state), (job.c.scene_digest, scene_digest),
+                                                (job.c.verdict, verdict)) if value is not None),
+        *((holding(job.c.name, name),) if name is not None else ()),
+        *((job.c.created_at >= since,) if since is not None else ()),
+        *((job.c.created_at < until,) if until is not None else ()),
+    ]  # fmt: skip
+    query = newest_first(sa.select(job).where(*wanted), job.c.created_at, job.c.id, before=before, limit=limit)
     with read(engine) as tx:
-        return list(tx.execute(query.order_by(job.c.created_at.desc(), job.c.id.desc()).limit(limit)))
+        return list(tx.execute(query))
 
 
 def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
@@ -157,19 +193,20 @@ def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
         return "cancelled"
 
 
-def retry(engine: sa.Engine, tenant_id: str, job_id: str) -> list[Message]:
+def retry(engine: sa.Engine, tenant_id: str, job_id: str, *, quota: Quota = NO_QUOTA) -> list[Message]:
     """Let a failed or cancelled job go on from what is done; return the messages for its shards.
 
     Shards that failed or were cancelled begin anew, as new rows: a worker that still computes an old one commits to
-    nothing. Raises JobNotFound, JobNotStopped.
+    nothing. Raises JobNotFound, JobNotStopped, QuotaExceeded.
     """
     with write(engine) as tx:
         lock_job(tx, job_id)
         row = _row(tx, tenant_id, job_id)
         if row.state not in ("failed", "cancelled"):
             raise JobNotStopped(job_id, row.state)
+        quotas.check_job(tx, row.tenant_id, quota, stored=0)
         undone = (shard.c.job_id == job_id) & shard.c.state.in_(("failed", "cancelled"))
-        kept = ("tenant_id", "job_id", "stage_id", "kind", "ordinal", "queue", "params")
+        kept = ("tenant_id", "job_id", "stage_id", "kind", "ordinal", "queue", "params", "need_bytes")
         rows = [
             {**{key: getattr(r, key) for key in kept}, "id": new_id(), "state": "ready", "attempt": 0, "cached": False}
             for r in tx.execute(sa.select(shard).where(undone).order_by(shard.c.kind, shard.c.ordinal)).all()
@@ -197,36 +234,43 @@ _AT = (("report", "reporting"), ("merge", "merging"), ("run", "running"), ("plan
 
 
 def delete(
-    engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool, remove: Callable[[str], object] = bool
-) -> tuple[dict[str, int], list[str]]:
-    """Delete an ended job and the artifacts that nothing else needs; return what, and the digests of those artifacts.
+    engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool, remove: Callable[[str], object] | None = None,
+    expect: Callable[[sa.Row[Any]], object] = bool,
+) -> tuple[dict[str, int], list[str]]:  # fmt: skip
+    """Delete an ended job; return (what goes with it, digests that were removed).
 
-    The caller removes the blobs afterwards: a crash in between leaves blobs without a row, never a row without its
-    blob. Raises JobNotFound, JobStillRunning.
+    What goes with it is counted within the tenant: artifacts and bytes that no other job or scene of it needs. Whether
+    another tenant has the same bytes cannot be told from it.
+
+    remove  removes a blob that nobody needs any more; None leaves that to the collection of garbage
+    expect  is called with the job's row, and may refuse
+    Raises JobNotFound, JobStillRunning.
     """
     with write(engine) as tx:
         lock_job(tx, job_id)
         row = _row(tx, tenant_id, job_id)
+        expect(row)
         if row.state not in ENDED:
             raise JobStillRunning(job_id, row.state)
-        lone = _only_of(tx, job_id)
-        n_bytes = sum(n for _, n in lone)
+        mine = quotas.digests(row.tenant_id, only_job=job_id)
+        number, n_bytes = quotas.needed_bytes(tx, of=mine, but=quotas.digests(row.tenant_id, but_job=job_id))
         counts = {
             "shards": tx.scalar(sa.select(sa.func.count()).select_from(shard).where(shard.c.job_id == job_id)) or 0,
             "events": tx.scalar(sa.select(sa.func.count()).select_from(event).where(event.c.job_id == job_id)) or 0,
-            "artifacts": len(lone), "bytes": n_bytes,
+            "artifacts": number, "bytes": n_bytes,
         }  # fmt: skip
         if dry_run:
             return counts, []
+        lone = [digest for digest, _ in _only_of(tx, job_id)] if remove is not None else []
         for table in (event, shard, stage):
             tx.execute(sa.delete(table).where(table.c.job_id == job_id))
         tx.execute(sa.delete(job).where(job.c.id == job_id))
-        digests = [digest for digest, _ in lone]
-        for start in range(0, len(digests), 500):
-            tx.execute(sa.delete(artifact).where(artifact.c.digest.in_(digests[start : start + 500])))
-        for digest in digests:
+        for start in range(0, len(lone), 500):
+            tx.execute(sa.delete(artifact).where(artifact.c.digest.in_(lone[start : start + 500])))
+        for digest in lone:
+            assert remove is not None
             remove(digest)
-        return counts, digests
+        return counts, lone
 
 
 def _only_of(tx: sa.Connection, job_id: str) -> list[tuple[str, int]]:
@@ -240,7 +284,7 @@ def _only_of(tx: sa.Connection, job_id: str) -> list[tuple[str, int]]:
         sa.select(stage.c.id).where(stage.c.job_id != job_id, stage.c.artifact_digest == artifact.c.digest),
         sa.select(job.c.id).where(job.c.id != job_id, job.c.report_digest == artifact.c.digest),
         sa.select(scene.c.digest).where(
-            (scene.c.digest == artifact.c.digest) | (scene.c.inspect_digest == artifact.c.digest)
+            sa.or_(*(c == artifact.c.digest for c in (scene.c.digest, scene.c.inspect_digest, scene.c.picture_digest)))
         ),
     ]
     query = sa.select(artifact.c.digest, artifact.c.n_bytes).where(
@@ -250,7 +294,7 @@ def _only_of(tx: sa.Connection, job_id: str) -> list[tuple[str, int]]:
 
 
 def _row(tx: sa.Connection, tenant_id: str, job_id: str) -> sa.Row[Any]:
-    row = tx.execute(sa.select(job).where(job.c.id == job_id, job.c.tenant_id == tenant_id)).one_or_none()
+    row = tx.execute(sa.select(job).where(job.c.id == job_id, owned(job.c.tenant_id, tenant_id))).one_or_none()
     if row is None:
         raise JobNotFound(job_id)
     return row

@@ -3,23 +3,29 @@
 Every step is a compare-and-set on the stage's state in a transaction of its own, after the commit of the shard that may
 have been the last. Asked inside that commit, two last shards would each see the other as unfinished, and the job would
 stand still. Any number of callers may ask at any time: one of them moves it, the others find nothing to do.
+
+Messages only wake: who gets one takes the shard whose turn it is (`fair`). So a queue needs no more than WINDOW of them,
+however many shards are ready, and one that is lost, late or doubled changes nothing.
 """
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import sqlalchemy as sa
 
+from farfield.memory import Need
 from farfield.stages import Queue
 from farfield.store import events
 from farfield.store.artifacts import Artifacts
-from farfield.store.engine import new_id, now, write
-from farfield.store.shards import MAX_ATTEMPTS, lock_job
-from farfield.store.tables import job, shard, stage
+from farfield.store.engine import new_id, now, read, write
+from farfield.store.shards import LEASE_S, MAX_ATTEMPTS, lapsed, lock_job
+from farfield.store.tables import artifact, job, shard, stage
 
-RESEND_S = 60.0  # sooner, a backlog would triple its messages
+WINDOW = 64  # messages of a queue that wait: enough for as many workers to be woken at once
+DIED = {"code": "WorkerDied", "message": f"{MAX_ATTEMPTS} workers died while they worked on it",
+        "advice": "Most likely there was too little memory: use fewer workers, or a larger machine."}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +35,8 @@ class StageKind:
     queue: str
     merges: bool  # False: its one run shard's artifact is the stage's
     optional: bool = False  # True: the job goes on without it where it fails
+    inputs: tuple[str, ...] = ()  # the stages that its shards read
+    need: Need = field(default_factory=Need)  # memory of its shards
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,69 +75,99 @@ def drop_shards(tx: sa.Connection, job_id: str) -> None:
     tx.execute(sa.update(shard).where(shard.c.job_id == job_id, open_).values(state="cancelled", lease_until=None))
 
 
-def mark_sent(engine: sa.Engine, shard_ids: list[str]) -> None:
-    """Remember that these shards' messages are with the broker."""
-    with write(engine) as tx:
-        tx.execute(sa.update(shard).where(shard.c.id.in_(shard_ids)).values(sent_at=now()))
+def waiting(engine: sa.Engine, queue: str, *, limit: int = WINDOW) -> int:
+    """Return how many shards of the queue are ready, counted up to `limit`."""
+    alive = sa.select(job.c.id).where(job.c.id == shard.c.job_id, job.c.finished_at.is_(None)).exists()
+    ready = (
+        (shard.c.state == "ready")
+        & (shard.c.queue == queue)
+        & (shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()))
+    )
+    with read(engine) as tx:
+        some = sa.select(shard.c.id).where(ready, alive).limit(limit).subquery()
+        return int(tx.scalar(sa.select(sa.func.count()).select_from(some)) or 0)
 
 
-def undelivered(engine: sa.Engine, *, resend_s: float = RESEND_S, limit: int = 1000) -> list[Message]:
-    """Return the shards to (re-)send, marked as sent: ready or with a lapsed lease, and not sent for a while.
-
-    A shard whose lease lapsed on its last attempt fails here, and is left to `advance`.
-    """
-    lapsed = (shard.c.state == "running") & (shard.c.lease_until < now())
-    with write(engine) as tx:
-        error = {"code": "WorkerDied", "message": f"{MAX_ATTEMPTS} workers died while they worked on it",
-                 "advice": "Most likely there was too little memory: use fewer workers, or a larger machine."
-                 }  # fmt: skip
-        tx.execute(
-            sa.update(shard).where(lapsed, shard.c.attempt >= MAX_ATTEMPTS)
-            .values(state="failed", lease_until=None, error=error)
-        )  # fmt: skip
-        unsent = shard.c.sent_at.is_(None) | (shard.c.sent_at < now() - resend_s)
-        alive = sa.select(job.c.id).where(job.c.id == shard.c.job_id, job.c.state.in_(("queued", "running")))
+def ready(engine: sa.Engine, *, limit: int = 1000) -> list[Message]:
+    """Return shards that are ready, in order of their stages and places: for who runs them without a broker."""
+    with read(engine) as tx:
         rows = tx.execute(
-            sa.select(shard.c.id, shard.c.queue)
-            .where((shard.c.state == "ready") | lapsed, unsent, alive.exists())
-            .order_by(shard.c.sent_at.is_not(None), shard.c.sent_at).limit(limit)
+            sa.select(shard.c.id, shard.c.queue).join(stage, stage.c.id == shard.c.stage_id)
+            .join(job, job.c.id == shard.c.job_id).where(shard.c.state == "ready", job.c.finished_at.is_(None))
+            .order_by(job.c.created_at, stage.c.ordinal, shard.c.ordinal).limit(limit)
         ).all()  # fmt: skip
-        tx.execute(sa.update(shard).where(shard.c.id.in_([r.id for r in rows])).values(sent_at=now()))
     return [Message(r.id, r.queue) for r in rows]
+
+
+def window(messages: Iterable[Message]) -> list[Message]:
+    """Return as many of the messages as are of use: WINDOW a queue."""
+    taken: dict[str, list[Message]] = {}
+    for message in messages:
+        mine = taken.setdefault(message.queue, [])
+        if len(mine) < WINDOW:
+            mine.append(message)
+    return [message for mine in taken.values() for message in mine]
+
+
+def reclaim(engine: sa.Engine, *, lease_s: float = LEASE_S) -> int:
+    """Make ready what leases that ran out still hold, or fail it after its last attempt; return how many shards."""
+    with read(engine) as tx:
+        if tx.scalar(sa.select(shard.c.id).where(lapsed(lease_s)).limit(1)) is None:
+            return 0
+    return _take_back(engine, lapsed(lease_s))
+
+
+def release_worker(engine: sa.Engine, worker: str | None) -> int:
+    """Take back what a worker holds that is known to be dead (None: what all hold): nobody waits for its lease to lapse."""
+    mine = shard.c.worker == worker if worker is not None else sa.true()
+    return _take_back(engine, (shard.c.state == "running") & mine)
+
+
+def _take_back(engine: sa.Engine, which: sa.ColumnElement[bool]) -> int:
+    with write(engine) as tx:
+        rows = tx.execute(
+            sa.select(shard.c.id, shard.c.job_id, shard.c.kind, shard.c.ordinal, shard.c.attempt, stage.c.name)
+            .join(stage, stage.c.id == shard.c.stage_id).where(which).order_by(shard.c.job_id, shard.c.id)
+        ).all()  # fmt: skip
+        number = 0
+        for row in rows:
+            lock_job(tx, row.job_id)
+            over = row.attempt >= MAX_ATTEMPTS
+            values = {"state": "failed", "error": DIED} if over else {"state": "ready", "ready_at": now()}
+            # Another may have been here first, or the worker may have been faster after all.
+            same = (shard.c.id == row.id) & (shard.c.attempt == row.attempt) & which
+            if tx.execute(sa.update(shard).where(same).values(lease_until=None, **values)).rowcount:
+                number += 1
+                fact = {"stage": row.name, "kind": row.kind, "ordinal": row.ordinal, "state": values["state"]}
+                events.append(
+                    tx, row.job_id, "shard", {**fact, "attempt": row.attempt, "error": DIED if over else LOST}
+                )
+                released = sa.update(job).where(job.c.id == row.job_id, job.c.optimizer_shard_id == row.id)
+                tx.execute(released.values(optimizer_until=None, optimizer_shard_id=None))
+        return number
+
+
+LOST = {"code": "WorkerLost", "message": "its worker is gone or does not answer; another takes it over", "advice": ""}
 
 
 def standing_still(engine: sa.Engine) -> list[str]:
     """Return jobs that run and have no shard ready or running: a worker died between commit and advance."""
     busy = sa.select(shard.c.id).where(shard.c.job_id == job.c.id, shard.c.state.in_(("ready", "running")))
-    with write(engine) as tx:
-        return list(tx.scalars(sa.select(job.c.id).where(job.c.state.in_(("queued", "running")), ~busy.exists())))
+    with read(engine) as tx:
+        return list(tx.scalars(sa.select(job.c.id).where(job.c.finished_at.is_(None), ~busy.exists())))
 
 
-def release_worker(engine: sa.Engine, worker: str | None) -> int:
-    """End the leases of a worker that is known to be dead (None: of all), so that nobody waits for them to lapse."""
-    mine = shard.c.worker == worker if worker is not None else sa.true()
-    with write(engine) as tx:
-        return tx.execute(
-            sa.update(shard).where(shard.c.state == "running", mine).values(lease_until=now() - 1.0, sent_at=None)
-        ).rowcount
-
-
-def hand_back(engine: sa.Engine) -> int:
-    """Make what runs ready again. Only for who has stopped all workers: a stop is no fault of a shard, and no attempt.
+def hand_back(engine: sa.Engine, worker: str | None = None) -> int:
+    """Make ready again what a worker runs that has been stopped (None: all): a stop is no fault of a shard, no attempt.
 
     Else three stops of the service during a long shard would fail its job.
     """
+    mine = shard.c.worker == worker if worker is not None else sa.true()
     with write(engine) as tx:
         return tx.execute(
-            sa.update(shard).where(shard.c.state == "running")
-            .values(state="ready", attempt=shard.c.attempt - 1, lease_until=None, sent_at=None)
+            sa.update(shard).where(shard.c.state == "running", mine)
+            .values(state="ready", attempt=shard.c.attempt - 1, lease_until=None, ready_at=now())
         ).rowcount  # fmt: skip
-
-
-def forget_sent(engine: sa.Engine) -> None:
-    """Take all messages for lost: the broker is a new one, so whatever is ready is to be sent again now."""
-    with write(engine) as tx:
-        tx.execute(sa.update(shard).where(shard.c.state == "ready").values(sent_at=None))
 
 
 def _step(
@@ -146,13 +184,12 @@ def _step(
     if at is None:
         return False, []
     kind = kinds[at.name]
-    shards = tx.execute(
-        sa.select(shard.c.kind, shard.c.state, shard.c.artifact_digest, shard.c.error).where(shard.c.stage_id == at.id)
-    ).all()
     # Once it is reporting, a shard that failed before is the reason why the stage is reported as failed.
-    broken = next(
-        (s for s in shards if s.state == "failed" and (s.kind == "report") == (at.state == "reporting")), None
-    )
+    failed = sa.select(shard.c.error).where(
+        shard.c.job_id == job_id, shard.c.state == "failed", shard.c.stage_id == at.id,
+        (shard.c.kind == "report") == (at.state == "reporting"),
+    )  # fmt: skip
+    broken = tx.execute(failed.limit(1)).one_or_none()
     if broken is not None:
         error = {**(broken.error or {}), "stage": at.name}
         if not (kind.optional and at.state != "reporting"):
@@ -163,31 +200,36 @@ def _step(
         if at is not stages[-1]:
             return _set(tx, at, "failed", skipped=reason, finished_at=now()), []
         moved = _set(tx, at, "reporting", skipped=reason)
-        return moved, _add(tx, at, "report", [None], Queue.CPU) if moved else []
-    done = {k: [s for s in shards if s.kind == k and s.state == "done"] for k in ("plan", "run", "merge", "report")}
+        return moved, _add(tx, at, kind, "report", [None], Queue.CPU) if moved else []
+
+    def result(of: str) -> str | None:
+        first = (shard.c.stage_id == at.id) & (shard.c.kind == of) & (shard.c.ordinal == 0) & (shard.c.state == "done")
+        return tx.scalar(sa.select(shard.c.artifact_digest).where(first))
+
     if at.state == "waiting":
         if _set(tx, at, "planning", started_at=now(), queue=kind.queue):
-            return True, _add(tx, at, "plan", [None], Queue.CPU)
-    elif at.state == "planning" and done["plan"]:
-        plan = json.loads(bytes(artifacts.buffer(done["plan"][0].artifact_digest)))
+            return True, _add(tx, at, kind, "plan", [None], Queue.CPU)
+    elif at.state == "planning" and (digest := result("plan")) is not None:
+        plan = json.loads(bytes(artifacts.buffer(digest)))
         skipped, params = plan["skip"], plan["shards"]
         after = "running" if params else "merging"
-        if _set(tx, at, after, skipped=skipped, queue=kind.queue, total=len(params)):
+        if _set(tx, at, after, skipped=skipped, queue=kind.queue, total=len(params), n_shards=len(params)):
             if params:
                 # Regions are pure functions that run at once; the optimizer's one lease is for who joins them.
                 apart = len(params) > 1 and kind.queue == Queue.OPTIMIZER
-                return True, _add(tx, at, "run", params, Queue.CPU if apart else kind.queue)
-            return True, _add(tx, at, "merge", [None], kind.queue)
-    elif at.state == "running" and len(done["run"]) == sum(s.kind == "run" for s in shards):
+                return True, _add(tx, at, kind, "run", params, Queue.CPU if apart else kind.queue)
+            return True, _add(tx, at, kind, "merge", [None], kind.queue)
+    elif at.state == "running" and at.n_done == at.n_shards:
         if kind.merges:
             if _set(tx, at, "merging"):
-                return True, _add(tx, at, "merge", [None], kind.queue)
+                return True, _add(tx, at, kind, "merge", [None], kind.queue)
         else:
-            return _finish(tx, at, done["run"][0].artifact_digest, last=at is stages[-1])
-    elif at.state == "merging" and done["merge"]:
-        return _finish(tx, at, done["merge"][0].artifact_digest, last=at is stages[-1])
-    elif at.state == "reporting" and done["report"]:
-        digest = done["report"][0].artifact_digest
+            digest = result("run")
+            assert digest is not None
+            return _finish(tx, at, kind, digest, last=at is stages[-1])
+    elif at.state == "merging" and (digest := result("merge")) is not None:
+        return _finish(tx, at, kind, digest, last=at is stages[-1])
+    elif at.state == "reporting" and (digest := result("report")) is not None:
         report = json.loads(bytes(artifacts.buffer(digest)))
         verdict = report.get("verdict")
         final = "done" if at.artifact_digest else "failed"
@@ -209,10 +251,12 @@ def _figures(report: Mapping[str, Any]) -> dict[str, Any]:
     return {"bytes": report.get("bytes"), "hopeless_views": report.get("hopeless_views"), "smallest_budget": smallest}
 
 
-def _finish(tx: sa.Connection, at: sa.Row[Any], digest: str, *, last: bool) -> tuple[bool, list[Message]]:
+def _finish(
+    tx: sa.Connection, at: sa.Row[Any], kind: StageKind, digest: str, *, last: bool
+) -> tuple[bool, list[Message]]:
     if last:
         moved = _set(tx, at, "reporting", artifact_digest=digest)
-        return moved, _add(tx, at, "report", [None], Queue.CPU) if moved else []
+        return moved, _add(tx, at, kind, "report", [None], Queue.CPU) if moved else []
     return _set(tx, at, "skipped" if at.skipped else "done", artifact_digest=digest, finished_at=now()), []
 
 
@@ -228,11 +272,32 @@ def _set(tx: sa.Connection, at: sa.Row[Any], state: str, *, total: int | None = 
     return True
 
 
-def _add(tx: sa.Connection, at: sa.Row[Any], kind: str, params: list[Any], queue: str) -> list[Message]:
+def _add(
+    tx: sa.Connection, at: sa.Row[Any], stage_kind: StageKind, kind: str, params: list[Any], queue: str
+) -> list[Message]:
+    need_bytes = _need(tx, at, stage_kind, kind)
     rows = [
         {"id": new_id(), "tenant_id": at.tenant_id, "job_id": at.job_id, "stage_id": at.id, "kind": kind, "ordinal": i,
-         "queue": str(queue), "params": p, "state": "ready", "attempt": 0, "cached": False}
+         "queue": str(queue), "params": p, "state": "ready", "attempt": 0, "cached": False, "need_bytes": need_bytes}
         for i, p in enumerate(params)
     ]  # fmt: skip
     tx.execute(sa.insert(shard), rows)
     return [Message(r["id"], r["queue"]) for r in rows]
+
+
+def _need(tx: sa.Connection, at: sa.Row[Any], stage_kind: StageKind, kind: str) -> int:
+    """Return the memory that each of these shards may take, from the sizes of what it reads."""
+    before = (stage.c.job_id == at.job_id) & (stage.c.ordinal < at.ordinal)
+    sizes = tx.execute(
+        sa.select(stage.c.name, artifact.c.n_bytes).join(artifact, artifact.c.digest == stage.c.artifact_digest)
+        .where(before)
+    )  # fmt: skip
+    inputs = {r.name: r.n_bytes for r in sizes if kind == "report" or r.name in stage_kind.inputs}
+    if not stage_kind.inputs:  # the first stage reads the file
+        scene_digest = sa.select(job.c.scene_digest).where(job.c.id == at.job_id).scalar_subquery()
+        inputs["file"] = int(tx.scalar(sa.select(artifact.c.n_bytes).where(artifact.c.digest == scene_digest)) or 0)
+    pieces = 0
+    if kind == "merge":
+        joined = sa.select(sa.func.sum(artifact.c.n_bytes)).join(shard, shard.c.artifact_digest == artifact.c.digest)
+        pieces = int(tx.scalar(joined.where(shard.c.stage_id == at.id, shard.c.kind == "run")) or 0)
+    return stage_kind.need.bytes(kind, inputs, pieces)

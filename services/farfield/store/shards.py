@@ -1,9 +1,13 @@
-"""The life of a shard: claimed, renewed, committed or failed. Each is one transaction.
+"""The life of a shard: claimed, renewed, committed, failed or put off. Each is one transaction.
 
 Claim    One UPDATE takes a shard that is ready, or whose lease ran out, and raises its attempt: of any number of
          messages for it, one wins. The attempt is the fence: who holds an older one can renew and commit nothing.
-Locks    The job's row first, then the shard's: everybody takes them in this order, or PostgreSQL would see deadlocks.
+Locks    The job's row first, then the shard's, then the stage's or the tenant's: everybody takes them in this order, or
+         PostgreSQL would see deadlocks.
 Fence    A shard on the optimizer queue also takes the job's one optimizer lease, with a token that grows.
+Events   A stage of many shards tells of its failures, and of its progress a hundred times: 10^5 shards would else be
+         2 * 10^5 events for whoever watches.
+Cost     No statement reads more than one row of a job's shards: the stage's row counts them.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,10 +20,14 @@ from sqlalchemy.dialects import postgresql, sqlite
 from farfield.stages import Queue
 from farfield.store import events
 from farfield.store.engine import now, read, write
-from farfield.store.tables import artifact, job, scene, shard, stage
+from farfield.store.fair import Host, fits
+from farfield.store.tables import artifact, job, scene, shard, stage, tenant
 
 LEASE_S = 60.0  # native code may hold the interpreter, and with it the thread that renews
 MAX_ATTEMPTS = 3
+EVENT_SHARDS = 200  # a stage of more tells of its progress only
+PUT_OFF_S = (2.0, 4.0, 8.0, 15.0, 30.0, 60.0)  # pauses; the last one again and again
+MAX_PUT_OFF = 20  # a quarter of an hour
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,10 +36,12 @@ class Claim:
 
     shard_id: str
     job_id: str
+    stage_id: str
     stage: str
     kind: str
     ordinal: int
     params: Any
+    queue: str
     attempt: int
     fence: int | None  # token of the optimizer lease
     settings: Mapping[str, Any]
@@ -40,57 +50,84 @@ class Claim:
     artifacts: Mapping[str, str]  # stage -> digest, of the stages that are complete
     pieces: tuple[str, ...]  # digests of the stage's `run` shards in plan order, for `merge`
     outcomes: tuple[Mapping[str, Any], ...]  # of the stages that ran, for `report`
+    n_shards: int = 1  # that its stage runs
 
 
-def claim(engine: sa.Engine, shard_id: str, *, worker: str, lease_s: float = LEASE_S) -> Claim | None:
-    """Take the shard, or return None where there is nothing (more) to do."""
+def claim(
+    engine: sa.Engine, shard_id: str, *, worker: str, lease_s: float = LEASE_S, host: Host | None = None
+) -> Claim | None:
+    """Take the shard, or return None where there is nothing (more) to do, or it does not fit on the host now."""
     with write(engine) as tx:
-        lock_job(tx, tx.scalar(sa.select(shard.c.job_id).where(shard.c.id == shard_id)))
+        at = tx.execute(
+            sa.select(
+                job.c.id, job.c.state, job.c.settings, job.c.scene_digest, scene.c.suffix, shard.c.need_bytes,
+                shard.c.stage_id, stage.c.name, stage.c.n_shards,
+            )
+            .join(stage, stage.c.id == shard.c.stage_id).join(job, job.c.id == shard.c.job_id)
+            .join(scene, (scene.c.tenant_id == job.c.tenant_id) & (scene.c.digest == job.c.scene_digest))
+            .where(shard.c.id == shard_id).with_for_update(of=job)
+        ).one_or_none()  # fmt: skip
+        if at is None or at.state not in ("queued", "running") or not _room(tx, host, at.need_bytes):
+            return None
         row = tx.execute(
             sa.update(shard)
-            .where(shard.c.id == shard_id, _claimable(), shard.c.attempt < MAX_ATTEMPTS)
-            .values(state="running", attempt=shard.c.attempt + 1, lease_until=now() + lease_s, worker=worker)
-            .returning(shard)
-        ).one_or_none()
+            .where(shard.c.id == shard_id, _claimable(lease_s), shard.c.attempt < MAX_ATTEMPTS)
+            .values(state="running", attempt=shard.c.attempt + 1, lease_until=now() + lease_s, worker=worker,
+                    host=host.name if host is not None else None)
+            .returning(shard.c.tenant_id, shard.c.kind, shard.c.ordinal, shard.c.queue, shard.c.params, shard.c.attempt)
+        ).one_or_none()  # fmt: skip
         if row is None:
             return None
-        owner = tx.execute(
-            sa.select(job, scene.c.suffix)
-            .join(scene, (scene.c.tenant_id == job.c.tenant_id) & (scene.c.digest == job.c.scene_digest))
-            .where(job.c.id == row.job_id)
-        ).one()
         fence = None
-        if owner.state not in ("queued", "running"):
-            tx.rollback()
-            return None
         if row.queue == Queue.OPTIMIZER:
-            fence = _take_optimizer(tx, row.job_id, shard_id, lease_s)
+            fence = _take_optimizer(tx, at.id, shard_id, lease_s)
             if fence is None:
                 tx.rollback()
                 return None
-        if owner.state == "queued":
-            tx.execute(
-                sa.update(job).where(job.c.id == row.job_id, job.c.state == "queued")
-                .values(state="running", started_at=now())
-            )  # fmt: skip
-            events.append(tx, row.job_id, "job", {"state": "running"})
-        name = tx.scalar(sa.select(stage.c.name).where(stage.c.id == row.stage_id))
-        fact = {"stage": name, "kind": row.kind, "ordinal": row.ordinal, "state": "running", "attempt": row.attempt}
-        events.append(tx, row.job_id, "shard", fact)
-        stages = tx.execute(sa.select(stage).where(stage.c.job_id == row.job_id).order_by(stage.c.ordinal)).all()
+        _serve(tx, row.tenant_id, at.id, started=at.state == "queued")
+        if at.state == "queued":
+            events.append(tx, at.id, "job", {"state": "running"})
+        if _told_singly(row.kind, at.n_shards):
+            fact = {"stage": at.name, "kind": row.kind, "ordinal": row.ordinal, "state": "running"}
+            events.append(tx, at.id, "shard", {**fact, "attempt": row.attempt})
+        stages = tx.execute(sa.select(stage).where(stage.c.job_id == at.id).order_by(stage.c.ordinal)).all()
         pieces: list[str] = []
         if row.kind == "merge":
             pieces = list(tx.scalars(
-                sa.select(shard.c.artifact_digest).where(shard.c.stage_id == row.stage_id, shard.c.kind == "run")
+                sa.select(shard.c.artifact_digest).where(shard.c.stage_id == at.stage_id, shard.c.kind == "run")
                 .order_by(shard.c.ordinal)
             ))  # fmt: skip
         outcomes = [_outcome(tx, s) for s in stages] if row.kind == "report" else []
     return Claim(
-        shard_id=shard_id, job_id=row.job_id, stage=str(name), kind=row.kind, ordinal=row.ordinal, params=row.params,
-        attempt=row.attempt, fence=fence, settings=owner.settings, scene_digest=owner.scene_digest,
-        scene_suffix=owner.suffix, artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest},
-        pieces=tuple(pieces), outcomes=tuple(outcomes),
+        shard_id=shard_id, job_id=at.id, stage_id=at.stage_id, stage=at.name, kind=row.kind, ordinal=row.ordinal,
+        params=row.params, queue=row.queue, attempt=row.attempt, fence=fence, settings=at.settings, scene_digest=at.scene_digest,
+        scene_suffix=at.suffix, artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest},
+        pieces=tuple(pieces), outcomes=tuple(outcomes), n_shards=at.n_shards,
     )  # fmt: skip
+
+
+def made(engine: sa.Engine, digest: str, job_id: str) -> Claim | None:
+    """Return the shard, of this job if it can be, that made the artifact; it is not claimed. None: no shard did."""
+    with read(engine) as tx:
+        row = tx.execute(
+            sa.select(shard, job.c.settings, job.c.scene_digest, scene.c.suffix, stage.c.name, stage.c.n_shards)
+            .join(stage, stage.c.id == shard.c.stage_id).join(job, job.c.id == shard.c.job_id)
+            .join(scene, (scene.c.tenant_id == job.c.tenant_id) & (scene.c.digest == job.c.scene_digest))
+            .where(shard.c.artifact_digest == digest, shard.c.state == "done")
+            .order_by(shard.c.job_id != job_id, shard.c.id).limit(1)
+        ).one_or_none()  # fmt: skip
+        if row is None:
+            return None
+        stages = tx.execute(sa.select(stage).where(stage.c.job_id == row.job_id)).all()
+        of = (shard.c.stage_id == row.stage_id) & (shard.c.kind == "run") & (row.kind == "merge")
+        pieces = tx.scalars(sa.select(shard.c.artifact_digest).where(of).order_by(shard.c.ordinal))
+        return Claim(
+            shard_id=row.id, job_id=row.job_id, stage_id=row.stage_id, stage=row.name, kind=row.kind,
+            ordinal=row.ordinal, params=row.params, queue=row.queue, attempt=row.attempt, fence=None,
+            settings=row.settings, scene_digest=row.scene_digest, scene_suffix=row.suffix,
+            artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest}, pieces=tuple(pieces),
+            outcomes=(), n_shards=row.n_shards,
+        )  # fmt: skip
 
 
 def renew(engine: sa.Engine, held: Claim, *, lease_s: float = LEASE_S) -> bool:
@@ -122,42 +159,72 @@ def known_result(engine: sa.Engine, key: str) -> Any:
 def commit(
     engine: sa.Engine, held: Claim, *, digest: str, n_bytes: int, key: str | None, seconds: float, peak_bytes: int,
     cached: bool = False, check: Callable[[], object] = bool,
-) -> bool:  # fmt: skip
-    """Write the shard's result if the attempt is still ours (and the fence still the newest); say whether it was.
+) -> str:  # fmt: skip
+    """Write the shard's result if the attempt is still ours (and the fence still the newest).
 
+    Returns "lost" where it is not, "last" where the job may move on by now, "more" where others of its stage run or wait.
     `check` is called in the transaction, once nobody can delete the artifact any more: it raises where it is gone.
     """
     with write(engine) as tx:
-        lock_job(tx, held.job_id)
-        if held.fence is not None:
-            token = tx.scalar(sa.select(job.c.optimizer_token).where(job.c.id == held.job_id))
-            if token != held.fence:
-                return False
-            _release_optimizer(tx, held)
+        locked = sa.select(job.c.state, job.c.optimizer_token).where(job.c.id == held.job_id).with_for_update()
+        at = tx.execute(locked).one_or_none()
+        if at is None or at.state != "running" or (held.fence is not None and at.optimizer_token != held.fence):
+            return "lost"
         put_artifact(tx, digest, n_bytes)
         check()
-        alive = sa.select(job.c.id).where(job.c.id == held.job_id, job.c.state == "running")
         updated = tx.execute(
-            sa.update(shard).where(_ours(held), alive.exists()).values(
+            sa.update(shard).where(_ours(held)).values(
                 state="done", artifact_digest=digest, key=key, seconds=seconds, peak_bytes=peak_bytes, cached=cached,
                 lease_until=None, error=None, log=None,
             )
         ).rowcount  # fmt: skip
         if not updated:
-            return False
-        fact = {"stage": held.stage, "kind": held.kind, "ordinal": held.ordinal, "state": "done"}
-        events.append(tx, held.job_id, "shard", {**fact, "seconds": round(seconds, 3), "cached": cached})
-        return True
+            return "lost"
+        if held.fence is not None:
+            _release_optimizer(tx, held)
+        peak = sa.func.coalesce(stage.c.peak_bytes, 0)
+        counted = tx.execute(
+            sa.update(stage).where(stage.c.id == held.stage_id)
+            .values(n_done=stage.c.n_done + (held.kind == "run"), peak_bytes=sa.case((peak > peak_bytes, peak), else_=peak_bytes))
+            .returning(stage.c.n_done, stage.c.n_shards)
+        ).one()  # fmt: skip
+        if _told_singly(held.kind, held.n_shards):
+            fact = {"stage": held.stage, "kind": held.kind, "ordinal": held.ordinal, "state": "done"}
+            events.append(tx, held.job_id, "shard", {**fact, "seconds": round(seconds, 3), "cached": cached})
+        elif counted.n_done * 100 // counted.n_shards != (counted.n_done - 1) * 100 // counted.n_shards:
+            told = {"stage": held.stage, "state": "running", "shards": counted.n_shards, "done": counted.n_done}
+            events.append(tx, held.job_id, "stage", told)
+        return "more" if held.kind == "run" and counted.n_done < counted.n_shards else "last"
 
 
 def fail(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str, again: bool) -> str:
     """Record that the attempt failed; return "ready" (run it again), "failed" (for good) or "lost" (not ours)."""
-    state = "ready" if again and held.attempt < MAX_ATTEMPTS else "failed"
+    return _back(
+        engine, held, state="ready" if again and held.attempt < MAX_ATTEMPTS else "failed", error=error, log=log
+    )
+
+
+def put_off(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str) -> str:
+    """Hand the shard back for a while, for want of something that comes back: disk space, the store. No attempt of its.
+
+    Returns "ready", "lost", or "failed" after MAX_PUT_OFF times.
+    """
+    with read(engine) as tx:
+        times = tx.scalar(sa.select(shard.c.put_off).where(shard.c.id == held.shard_id)) or 0
+    if times >= MAX_PUT_OFF:
+        return _back(engine, held, state="failed", error=error, log=log)
+    later = {"ready_at": now() + PUT_OFF_S[min(times, len(PUT_OFF_S) - 1)], "put_off": times + 1}
+    return _back(engine, held, state="ready", error=error, log=log, **later, attempt=shard.c.attempt - 1)
+
+
+def _back(engine: sa.Engine, held: Claim, *, state: str, error: Mapping[str, str], log: str, **values: Any) -> str:
     with write(engine) as tx:
         lock_job(tx, held.job_id)
         updated = tx.execute(
-            sa.update(shard).where(_ours(held))
-            .values(state=state, lease_until=None, sent_at=None, ready_at=now(), error=dict(error), log=log[-20_000:])
+            sa.update(shard).where(_ours(held)).values(
+                **{"state": state, "lease_until": None, "ready_at": now(), "error": dict(error), "log": log[-20_000:],
+                   **values}
+            )
         ).rowcount  # fmt: skip
         if not updated:
             return "lost"
@@ -168,9 +235,28 @@ def fail(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str, 
         return state
 
 
+def refuse(engine: sa.Engine, shard_id: str, error: Mapping[str, str]) -> str | None:
+    """Fail a shard that is ready and that nobody can run; return its job, or None where it is not ready any more."""
+    with write(engine) as tx:
+        at = tx.execute(
+            sa.select(shard.c.job_id, shard.c.kind, shard.c.ordinal, stage.c.name)
+            .join(stage, stage.c.id == shard.c.stage_id).where(shard.c.id == shard_id)
+        ).one_or_none()  # fmt: skip
+        if at is None:
+            return None
+        lock_job(tx, at.job_id)
+        ready = (shard.c.id == shard_id) & (shard.c.state == "ready")
+        if not tx.execute(sa.update(shard).where(ready).values(state="failed", error=dict(error))).rowcount:
+            return None
+        fact = {"stage": at.name, "kind": at.kind, "ordinal": at.ordinal, "state": "failed", "error": dict(error)}
+        events.append(tx, at.job_id, "shard", fact)
+        return str(at.job_id)
+
+
 def lock_job(tx: sa.Connection, job_id: str | None) -> None:
     """Hold the job's row until the transaction ends. SQLite has one writer at a time and needs no lock."""
-    tx.execute(sa.select(job.c.id).where(job.c.id == job_id).with_for_update())
+    if tx.dialect.name != "sqlite":
+        tx.execute(sa.select(job.c.id).where(job.c.id == job_id).with_for_update())
 
 
 def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
@@ -181,8 +267,42 @@ def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
     tx.execute(insert(artifact).values(values).on_conflict_do_update(index_elements=[artifact.c.digest], set_=kept))
 
 
-def _claimable() -> sa.ColumnElement[bool]:
-    return (shard.c.state == "ready") | ((shard.c.state == "running") & (shard.c.lease_until < now()))
+def lapsed(lease_s: float = LEASE_S) -> sa.ColumnElement[bool]:
+    """A lease that ran out, or that no clock of today can have given: then the database's has jumped back.
+
+    A lease that this takes for lapsed too early costs work that is done twice, never a result: the attempt is the fence.
+    """
+    return (shard.c.state == "running") & (
+        (shard.c.lease_until < now()) | (shard.c.lease_until > now() + max(2 * lease_s, LEASE_S))
+    )
+
+
+def _claimable(lease_s: float) -> sa.ColumnElement[bool]:
+    return (shard.c.state == "ready") | lapsed(lease_s)
+
+
+def _room(tx: sa.Connection, host: Host | None, need_bytes: int) -> bool:
+    """Say whether the host has room, held until we have committed: two of its workers must not both take it."""
+    if host is None or host.memory_bytes is None:
+        return True
+    if tx.dialect.name == "postgresql":
+        tx.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext("host " + host.name))))
+    beside = sa.select(sa.func.coalesce(sa.func.sum(shard.c.need_bytes), 0))
+    held = tx.scalar(beside.where(shard.c.state == "running", shard.c.host == host.name))
+    return fits(Host(name=host.name, memory_bytes=host.memory_bytes), need_bytes, held=int(held or 0))
+
+
+def _serve(tx: sa.Connection, tenant_id: str, job_id: str, *, started: bool) -> None:
+    """Note whose turn it was."""
+    others = tenant.alias()
+    turn = sa.select(sa.func.max(others.c.turn) + 1).scalar_subquery()
+    served = tx.scalar(sa.update(tenant).where(tenant.c.id == tenant_id).values(turn=turn).returning(tenant.c.turn))
+    values: dict[str, Any] = {"turn": served, **({"state": "running", "started_at": now()} if started else {})}
+    tx.execute(sa.update(job).where(job.c.id == job_id).values(**values))
+
+
+def _told_singly(kind: str, n_shards: int) -> bool:
+    return kind != "run" or n_shards <= EVENT_SHARDS
 
 
 def _ours(held: Claim) -> sa.ColumnElement[bool]:

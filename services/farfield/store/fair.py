@@ -1,0 +1,116 @@
+"""Which shard a free worker takes next: fair between tenants, then by priority, then fair between jobs.
+
+Problem  A heavy job makes 10^5 shards ready at once. A small one that comes later must not wait for them, nor a tenant
+         for another's jobs, nor a shard that needs much memory for ever for a host that small ones keep full.
+Method   Nothing is ordered beforehand: whoever is free asks, and the tables answer. Of the tenants with work the one of
+         which the least runs now is served; of its jobs the one of highest priority; of these the one of which the least
+         runs now; what is equal goes to who was served longest ago, by the number of the claim and not by a clock; within
+         a job in plan order. A shard that does not fit beside what runs on the host is passed over, and others go first
+         for PATIENCE_S; then, unless its job runs somewhere, the host starts nothing else until it fits.
+Cost     Indexes only: what runs (as many rows as there are workers), the tenants with work, and the head of the index of a
+         tenant's open jobs. None grows with the shards of a job.
+Tried    A queue of messages in order of submission: 10^5 shards of one job went before the one of the next.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from farfield.store.engine import now, read
+from farfield.store.tables import job, shard, tenant
+
+PATIENCE_S = 60.0
+LOOKS = 8  # shards that do not fit, before a worker gives up for now
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Host:
+    """The memory that workers share: those on one machine, or in one container."""
+
+    name: str
+    memory_bytes: int | None = None  # what all shards together may need; None: whatever there is
+    free_bytes: int | None = None  # what the system says is free now, our own share included
+
+
+@dataclass(frozen=True, slots=True)
+class Next:
+    """A shard to claim; or, where it is `too_large`, to fail by name: no host fits it."""
+
+    shard_id: str
+    need_bytes: int
+    too_large: bool = False
+
+
+def next_shard(engine: sa.Engine, queue: str, host: Host) -> Next | None:
+    """Return the shard of this queue that the host should run now, or None where there is none (that fits)."""
+    with read(engine) as tx:
+        running = tx.execute(
+            sa.select(shard.c.tenant_id, shard.c.job_id, shard.c.host, shard.c.need_bytes)
+            .where(shard.c.state == "running")
+        ).all()  # fmt: skip
+        tenants, jobs = Counter(r.tenant_id for r in running), Counter(r.job_id for r in running)
+        held = sum(r.need_bytes for r in running if r.host == host.name)
+        passed: list[str] = []
+        for tenant_id in _tenants(tx, tenants):
+            while len(passed) < LOOKS:
+                found = _of_tenant(tx, tenant_id, queue, jobs, passed)
+                if found is None:
+                    break
+                waited_s = float(tx.scalar(sa.select(now())) or 0.0) - (found.ready_at or 0.0)
+                if host.memory_bytes is not None and found.need_bytes > host.memory_bytes:
+                    return Next(found.id, found.need_bytes, too_large=True)
+                if fits(host, found.need_bytes, held=held, waited_s=waited_s):
+                    return Next(found.id, found.need_bytes)
+                if waited_s > PATIENCE_S and not jobs[found.job_id]:
+                    return None
+                passed.append(found.job_id)
+    return None
+
+
+def fits(host: Host, need_bytes: int, *, held: int, waited_s: float = 0.0) -> bool:
+    """Say whether a shard fits beside those that `held` bytes are set aside for.
+
+    What strangers use of the machine counts for PATIENCE_S: an estimate is an upper one, and a job must end.
+    """
+    if host.memory_bytes is not None and held + need_bytes > host.memory_bytes:
+        return False
+    crowded = host.free_bytes is not None and need_bytes > host.free_bytes
+    return not crowded or (not held and waited_s > PATIENCE_S)
+
+
+def _tenants(tx: sa.Connection, running: "Counter[str]") -> list[str]:
+    """Return the tenants with open jobs, in the order in which they are to be served."""
+    open_ = sa.select(job.c.id).where(job.c.tenant_id == tenant.c.id, job.c.finished_at.is_(None)).exists()
+    rows = tx.execute(sa.select(tenant.c.id, tenant.c.turn).where(open_)).all()
+    return [r.id for r in sorted(rows, key=lambda r: (running[r.id], r.turn, r.id))]
+
+
+def _of_tenant(tx: sa.Connection, tenant_id: str, queue: str, running: "Counter[str]", passed: list[str]) -> Any:
+    """Return (id, need_bytes, ready_at, job_id) of the shard whose turn it is, or None."""
+    ready = (shard.c.job_id == job.c.id) & (shard.c.state == "ready") & (shard.c.queue == queue) & _due()
+    busy = [j for j in running if j not in passed]
+    order = (job.c.priority, job.c.turn, job.c.id)
+    jobs = (
+        sa.select(job.c.id, *order[:2])
+        .where(job.c.tenant_id == tenant_id, job.c.finished_at.is_(None), sa.select(shard.c.id).where(ready).exists())
+        .order_by(*order)
+    )
+    idle = tx.execute(jobs.where(job.c.id.not_in([*busy, *passed])).limit(1)).all()
+    others = tx.execute(jobs.where(job.c.id.in_(busy))).all() if busy else []
+    best = min([*idle, *others], key=lambda r: (r.priority, running[r.id], r.turn, r.id), default=None)
+    if best is None:
+        return None
+    first = sa.select(shard.c.id, shard.c.need_bytes, shard.c.ready_at, shard.c.job_id).where(
+        shard.c.job_id == best.id, shard.c.state == "ready", shard.c.queue == queue, _due()
+    )
+    return tx.execute(first.order_by(shard.c.ordinal).limit(1)).one_or_none()
+
+
+def _due() -> sa.ColumnElement[bool]:
+    """A shard that was put off waits; not for longer than it was told to, even where the clock has jumped back."""
+    return shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()) | (shard.c.ready_at > now() + LONGEST_S)
+
+
+LONGEST_S = 120.0  # more than any shard is put off by
