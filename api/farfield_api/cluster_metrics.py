@@ -75,7 +75,8 @@ class ClusterMetrics(Collector):
         with read(self.engine) as tx:
             jobs: dict[str, int] = dict(tx.execute(sa.select(job.c.state, count).group_by(job.c.state)).tuples().all())
             waits = sa.select(shard.c.queue, count, sa.func.max(now() - shard.c.ready_at))
-            waits = waits.where((shard.c.state == "ready") | lapsed, alive.exists()).group_by(shard.c.queue)
+            could = (shard.c.state == "ready") & (shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()))
+            waits = waits.where(could | lapsed, alive.exists()).group_by(shard.c.queue)
             ready = {q: (n, age) for q, n, age in tx.execute(waits)}
             runs = sa.select(shard.c.queue, count).where(shard.c.state == "running", ~lapsed).group_by(shard.c.queue)
             running: dict[str, int] = dict(tx.execute(runs).tuples().all())

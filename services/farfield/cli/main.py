@@ -27,6 +27,10 @@ VERBS = (
     "fetch",
     "cancel",
     "retry",
+    "fsck",
+    "gc",
+    "backup",
+    "restore",
 )
 DONE, FAILED, BAD_USE, BAD_INPUT, NOT_VALID = 0, 1, 2, 3, 4
 

@@ -38,3 +38,9 @@ def context() -> Any:
 def name(ctx: Any) -> str:
     """Return vendor, renderer and version of the context's driver."""
     return f"{ctx.info['GL_VENDOR']}, {ctx.info['GL_RENDERER']}, OpenGL {ctx.info['GL_VERSION']}"
+
+
+def renderer() -> str | None:
+    """Return the name of the renderer where this process has made its context; makes none."""
+    made = _made.get(os.getpid())
+    return name(made) if made is not None else None
