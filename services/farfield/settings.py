@@ -62,7 +62,8 @@ class VisibilitySettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlacementSettings:
-    candidates: Literal["shafts+boxes", "shafts", "boxes"] = "shafts+boxes"
+    candidates: Literal["shafts+boxes", "shafts", "boxes", "cells", "environment"] = "shafts+boxes"
+    far_m: float = 300.0  # environment: half the side of the cube that stays geometry around each cell, (0, 1e9]
     view_cells: Literal["tight", "raw"] = "tight"  # fitted to the cells they serve, or as generated
     assignment: Literal["fastest", "least", "all"] = "fastest"  # which of its impostors a view shows
     reverse_delete: bool = True  # drop chosen impostors that no view needs
@@ -77,6 +78,14 @@ class PlacementSettings:
 class BakeSettings:
     flatten: Literal["none", "shine", "all"] = "shine"  # what is baked although no picture can hold it; else geometry
     page_format: Literal["webp", "png", "ktx2"] = "webp"  # of atlas pages, all lossless
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProofSettings:
+    mode: Literal["sample", "all", "off"] = "sample"  # which impostors are compared with their geometry, in pictures
+    pairs: int = 160  # sample: random (impostor, viewpoint) pairs, 1..10**6
+    views: int = 2  # all: viewpoints an impostor, 1..1000
+    confidence: float = 0.95  # of the stated bound of what fails, [0.5, 0.9999]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +132,7 @@ class Settings:
     detail: DetailSettings = field(default_factory=DetailSettings)
     visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
     placement: PlacementSettings = field(default_factory=PlacementSettings)
+    proof: ProofSettings = field(default_factory=ProofSettings)
     bake: BakeSettings = field(default_factory=BakeSettings)
 
 
@@ -201,6 +211,10 @@ def check(settings: Settings) -> None:
     need(0 < s.visibility.missed_ppm <= 1e6, "visibility.missed_ppm", "must be in (0, 1e6] pixels a million")
     need(1000 <= s.visibility.rays <= 10**9, "visibility.rays", "must be in 1000..10**9 rays a cell")
     need(0 < s.quality.pixel_error <= 64, "quality.pixel_error", "must be in (0, 64] pixels")
+    need(1 <= s.proof.pairs <= 10**6, "proof.pairs", "must be in 1..10**6")
+    need(1 <= s.proof.views <= 1000, "proof.views", "must be in 1..1000")
+    need(0.5 <= s.proof.confidence <= 0.9999, "proof.confidence", "must be in [0.5, 0.9999]")
+    need(0 < s.placement.far_m <= 1e9, "placement.far_m", "must be in (0, 1e9] metres")
     need(1 <= s.placement.hopeless_slack <= 10, "placement.hopeless_slack", "must be in [1, 10]")
     need(1 <= s.placement.regions <= 64, "placement.regions", "must be in 1..64")
     limit_s = s.placement.time_limit_s

@@ -19,6 +19,7 @@ class Stage(StrEnum):
     BOUND = "bound"
     PLACEMENTDB = "placementdb"
     EVALUATION = "evaluation"
+    PROOF = "proof"
 
 
 class Queue(StrEnum):

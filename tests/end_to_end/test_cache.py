@@ -26,7 +26,7 @@ assignment = "{assignment}"
 """
 FIRST = {"budget": "12 calls", "seed": 1, "width": 640, "pixel_error": 1.0, "assignment": "fastest"}
 UP_TO = {  # what changed -> the stages that are found done; a later one is, too, where what it reads comes out the same
-    "nothing": "hierarchy rendertime visibility viewspace candidates placement bake repair bound placementdb evaluation",
+    "nothing": "hierarchy rendertime visibility viewspace candidates placement bake repair bound placementdb evaluation proof",
     "seed": "hierarchy rendertime visibility viewspace candidates placement bake repair bound",
     "assignment": "hierarchy rendertime visibility viewspace candidates",
     "pixel_error": "hierarchy rendertime visibility viewspace",

@@ -122,8 +122,8 @@ def run(args: argparse.Namespace) -> int:
                     except FarfieldError:
                         raise
                     except Exception:
-                        # The placement stands without its evaluation, as `unproven`; anything else is a defect.
-                        if stage != Stage.EVALUATION:
+                        # The placement stands without what would prove it, as `unproven`; anything else is a defect.
+                        if stage not in (Stage.EVALUATION, Stage.PROOF):
                             raise
                         console.print_exception()
                     total = bars.tasks[tasks[stage]].total or 1

@@ -66,7 +66,8 @@ class StageRun(Protocol):
 def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any]:
     """Return the report of a job whose stages up to `placementdb` have artifacts, as JSON values (no NaN, no infinity).
 
-    Without an artifact of `evaluation` (it crashed) a placement stands as `unproven`; so does one that it refutes.
+    Without an artifact of `evaluation` or `proof` (it crashed) a placement stands as `unproven`; so does one that either
+    of them refutes.
     """
     settings = inputs.settings
     scene, model, views = inputs.get(Stage.SCENE), inputs.get(Stage.RENDERTIME), inputs.get(Stage.VIEWSPACE)
@@ -74,6 +75,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
     cells = build_cells(scene.view_boxes, scene.cell_m)
     manifest = _manifest(inputs.artifacts[Stage.PLACEMENTDB])
     verified = unpack(inputs.artifacts[Stage.EVALUATION])[2] if Stage.EVALUATION in inputs.artifacts else None
+    proof = unpack(inputs.artifacts[Stage.PROOF])[2] if Stage.PROOF in inputs.artifacts else None
     ran: list[dict[str, Any]] = [
         {"name": str(s.name), "seconds": round(s.seconds, 3), "peak_bytes": s.peak_bytes, "skipped": s.skipped,
          "shards": s.shards, "reused": s.reused}
@@ -81,7 +83,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
     ]  # fmt: skip
     return {
         "format": "farfield report", "version": 1,
-        "verdict": _verdict(manifest["verdict"], verified), "stopped": placement.stopped,
+        "verdict": _verdict(manifest["verdict"], verified, proof), "stopped": placement.stopped,
         "budget": settings.budget, "budget_amount": model.budget, "unit": model.unit, "per_frame": model.per_frame,
         "smallest_budget": _smallest(model, views, placement), "device": _device(settings, model),
         **{key: manifest["counts"][key] for key in ("objects", "triangles", "cells", "problem_views", "hopeless_views",
@@ -100,7 +102,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         "hopeless": _hopeless(scene, cells, model, views, placement, settings),
         "culprits": _culprits(scene, placement),
         "curve": _curve(placement),
-        "verified": verified,
+        "verified": verified, "proof": proof,
         "warnings": list(scene.warnings), "dropped_triangles": scene.dropped_triangles,
         "not_baked": list(baked.skipped), "looks": _looks(scene), "software": manifest["provenance"]["software"],
         "inputs": manifest["provenance"]["inputs"],
@@ -117,8 +119,10 @@ def _bound(bound: Bound) -> dict[str, Any]:
     return {"lower_bound_bytes": bound.lower_bytes, "bound": figures}
 
 
-def _verdict(stated: str, verified: Mapping[str, Any] | None) -> str:
-    return "unproven" if verified is None or refuted(verified) else stated
+def _verdict(stated: str, verified: Mapping[str, Any] | None, proof: Mapping[str, Any] | None) -> str:
+    if verified is None or proof is None or refuted(verified) or proof["failed"]:
+        return "unproven"
+    return stated
 
 
 def _manifest(artifact: Any) -> dict[str, Any]:

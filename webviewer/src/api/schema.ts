@@ -60,7 +60,8 @@ export interface Opening {
 }
 
 export interface PlacementSettings {
-  candidates?: "shafts+boxes" | "shafts" | "boxes";
+  candidates?: "shafts+boxes" | "shafts" | "boxes" | "cells" | "environment";
+  far_m?: number;
   view_cells?: "tight" | "raw";
   assignment?: "fastest" | "least" | "all";
   reverse_delete?: boolean;
@@ -81,10 +82,19 @@ export interface Problem {
   detail: string;
   /** what to do */
   advice?: string;
+  /** what the operator finds it by in the logs */
+  request_id?: unknown;
   /** the setting's dotted name, for SettingsInvalid */
   key?: string;
   /** for RequestInvalid: where and what */
   errors?: (Record<string, unknown>)[];
+}
+
+export interface ProofSettings {
+  mode?: "sample" | "all" | "off";
+  pairs?: number;
+  views?: number;
+  confidence?: number;
 }
 
 export interface QualitySettings {
@@ -125,10 +135,11 @@ export interface Settings {
   detail?: DetailSettings;
   visibility?: VisibilitySettings;
   placement?: PlacementSettings;
+  proof?: ProofSettings;
   bake?: BakeSettings;
 }
 
-export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "bound" | "placementdb" | "evaluation";
+export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "bound" | "placementdb" | "evaluation" | "proof";
 
 export interface Target {
   /** the page to open */
@@ -177,4 +188,11 @@ export type Route =
   | "GET /v1/scenes/{digest}/picture"
   | "DELETE /v1/session"
   | "GET /v1/session"
-  | "POST /v1/session";
+  | "POST /v1/session"
+  | "GET /v1/storage"
+  | "GET /v1/uploads"
+  | "POST /v1/uploads"
+  | "DELETE /v1/uploads/{upload_id}"
+  | "GET /v1/uploads/{upload_id}"
+  | "HEAD /v1/uploads/{upload_id}"
+  | "GET /v1/workers";

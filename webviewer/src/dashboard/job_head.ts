@@ -78,7 +78,7 @@ function verdictOf(job: JobDetail, report: Report | null): Told {
   const kind = { valid: "ok", infeasible: "inf", unproven: "" }[job.verdict];
   return { kind, mark: () => verdictMark(job.verdict!), text: () => {
     if (!report) return [];
-    if (job.verdict === "unproven") return ["The placement can be walked; it carries no certificate: its evaluation failed, or found a view over budget."];
+    if (job.verdict === "unproven") return ["The placement can be walked; it carries no certificate: its evaluation or its proof failed, or found a view over budget or an impostor unlike its geometry."];
     if (job.verdict === "infeasible") {
       const smallest = report.smallest_budget?.text;
       return [b(`${count(report.hopeless_views ?? 0)} of ${count(report.problem_views ?? 0)}`), ` problem views cannot meet ${budget} with any impostor. All other views do. `,
