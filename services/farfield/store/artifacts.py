@@ -250,6 +250,7 @@ class Proof:
         if hashlib.file_digest(file, "sha256").hexdigest() != digest:
             file.close()
             raise ArtifactDamaged(digest)
+        file.seek(0)
         with self._lock:
             if len(self._proven) >= 100_000:
                 self._proven.clear()

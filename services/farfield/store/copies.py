@@ -77,8 +77,9 @@ class Copies:
         if n_bytes > self.max_bytes:
             path.unlink()
             return
-        self.make_room(n_bytes)
-        self._settle(path, digest)
+        with self._alone("room"):
+            self._make_room(n_bytes)
+            self._settle(path, digest)
 
     def drop(self, digest: str) -> None:
         self.path(digest).unlink(missing_ok=True)
@@ -87,31 +88,32 @@ class Copies:
         """Return the size of all copies together, those being fetched with their whole size."""
         return sum(size for _, size, _ in self._all())
 
-    def make_room(self, n_bytes: int) -> None:
-        """Remove the copies used longest ago until `n_bytes` more fit. Leaves those in use."""
-        with self._alone("room"):
-            found = sorted(self._all())
-            total = sum(size for _, size, _ in found)
-            for _, size, path in found:
-                if total + n_bytes <= self.max_bytes:
-                    return
-                total -= size if _remove_unused(path) else 0
-            if total + n_bytes > self.max_bytes:
-                log.warning("all local copies are in use: they take %d bytes of %d", total + n_bytes, self.max_bytes)
-
     def _bring(self, digest: str) -> None:
         n_bytes = self._size(digest)
-        self.make_room(n_bytes)
-        with tempfile.NamedTemporaryFile(dir=self.root / "tmp", prefix="fetch-", delete=False) as file:
+        with self._alone("room"):
+            self._make_room(n_bytes)
+            file = tempfile.NamedTemporaryFile(dir=self.root / "tmp", prefix="fetch-", delete=False)  # noqa: SIM115
             fcntl.flock(file, fcntl.LOCK_SH)
+            file.truncate(n_bytes)
+        with file:
             try:
-                file.truncate(n_bytes)
                 self._fetch(digest, file)
                 file.flush()
                 self._settle(Path(file.name), digest)
             except BaseException:
                 Path(file.name).unlink(missing_ok=True)
                 raise
+
+    def _make_room(self, n_bytes: int) -> None:
+        """Remove the copies used longest ago until `n_bytes` more fit. Leaves those in use."""
+        found = sorted(self._all())
+        total = sum(size for _, size, _ in found)
+        for _, size, path in found:
+            if total + n_bytes <= self.max_bytes:
+                return
+            total -= size if _remove_unused(path) else 0
+        if total + n_bytes > self.max_bytes:
+            log.warning("the local copies in use leave no room: %d bytes of %d", total + n_bytes, self.max_bytes)
 
     def _settle(self, path: Path, digest: str) -> None:
         target = self.path(digest)
@@ -140,8 +142,6 @@ def _remove_unused(path: Path) -> bool:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()
-    except BlockingIOError:
+    except (BlockingIOError, FileNotFoundError):  # in use; or it has arrived, and has its own name now
         return False
-    except FileNotFoundError:
-        pass
     return True

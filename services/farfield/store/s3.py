@@ -67,6 +67,7 @@ class S3Artifacts(Artifacts):
         self.temporary, self._mine = _own_folder(cache / "tmp")
 
     def has(self, digest: str) -> bool:
+        checked(digest)
         try:
             self.n_bytes(digest)
         except ArtifactMissing:
