@@ -11,20 +11,39 @@ from fastapi import FastAPI
 from prometheus_client import CollectorRegistry, start_http_server
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
+from farfield_api.answers import Conditional, Gzip
 from farfield_api.cluster_metrics import ClusterMetrics
-from farfield_api.errors import PROBLEM_SCHEMA, add_handlers
+from farfield_api.documented import describe
+from farfield_api.errors import add_handlers
 from farfield_api.headers import SecurityHeaders
+from farfield_api.key_use import KeyUse
 from farfield_api.observe import HttpMetrics, Observe
 from farfield_api.pages import add_pages
 from farfield_api.queue import Queue
+from farfield_api.rates import RateLimits
 from farfield_api.readiness import Readiness
 from farfield_api.resumable import keep_swept
-from farfield_api.routes import devices, health, jobs, operations, placements, scenes, session, uploads
+from farfield_api.routes import (
+    audit,
+    devices,
+    health,
+    jobs,
+    keys,
+    operations,
+    placements,
+    scenes,
+    session,
+    tenants,
+    uploads,
+    webhooks,
+)
 from farfield_api.settings import ApiSettings
 from farfield_api.state import State
 from farfield_api.streams import EventPoller
+from farfield_api.trail import Trail
 
 MAX_JSON_BYTES = 1 << 20
+OPEN = {("GET", "/livez"), ("GET", "/readyz"), ("POST", "/v1/session")}  # need no key
 
 
 def make_app(settings: ApiSettings) -> FastAPI:
@@ -36,13 +55,15 @@ def make_app(settings: ApiSettings) -> FastAPI:
         settings=settings, engine=engine, artifacts=artifacts, queue=queue,
         poller=EventPoller(engine, settings.poll_s),
         readiness=Readiness(engine, artifacts, queue.check, settings.migrations),
+        rates=RateLimits(read=settings.rate_read, write=settings.rate_write, store=settings.rate_store),
+        key_use=KeyUse(engine),
     )  # fmt: skip
     registry = CollectorRegistry()
     registry.register(ClusterMetrics(engine, artifacts, state.readiness))
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        running = [asyncio.create_task(task) for task in (state.poller.run(), keep_swept(state))]
+        running = [asyncio.create_task(task) for task in (state.poller.run(), keep_swept(state), state.key_use.run())]
         server = None
         if settings.metrics_port is not None:
             server, _ = start_http_server(settings.metrics_port, settings.metrics_host, registry)
@@ -50,6 +71,7 @@ def make_app(settings: ApiSettings) -> FastAPI:
         if server is not None:
             server.shutdown()
         state.readiness.close()
+        state.key_use.write()
         for task in running:
             task.cancel()
             with suppress(asyncio.CancelledError):
@@ -61,11 +83,27 @@ def make_app(settings: ApiSettings) -> FastAPI:
         openapi_url="/v1/openapi.json", max_body_size=MAX_JSON_BYTES,
     )  # fmt: skip
     app.state.farfield, app.state.registry = state, registry
+    app.add_middleware(Trail, engine=engine)
+    app.add_middleware(Conditional)
+    app.add_middleware(Gzip)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(settings.hosts))
     app.add_middleware(SecurityHeaders)  # the outer one: what the other refuses has the headers, too
     app.add_middleware(Observe, metrics=HttpMetrics(registry))
     add_handlers(app)
-    for routes in (health, operations, session, scenes, uploads, jobs, placements, devices):
+    for routes in (
+        health,
+        operations,
+        session,
+        scenes,
+        uploads,
+        jobs,
+        placements,
+        devices,
+        tenants,
+        keys,
+        webhooks,
+        audit,
+    ):
         app.include_router(routes.router)
     add_pages(app, settings.web)
     _describe(app)
@@ -77,14 +115,7 @@ def _describe(app: FastAPI) -> None:
 
     def described() -> dict[str, Any]:
         if app.openapi_schema is None:
-            schema = plain()
-            parts = schema.setdefault("components", {})
-            parts.setdefault("schemas", {})["Problem"] = PROBLEM_SCHEMA
-            parts["securitySchemes"] = {
-                "key": {"type": "http", "scheme": "bearer"},
-                "session": {"type": "apiKey", "in": "cookie", "name": "farfield_session"},
-            }
-            schema["security"] = [{"key": []}, {"session": []}]
+            describe(plain(), OPEN)
         assert app.openapi_schema is not None
         return app.openapi_schema
 

@@ -8,13 +8,15 @@ import hashlib
 import hmac
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated
 
 from farfield.store import tenants
+from farfield.store.pages import ALL
 from farfield.store.tenants import Caller
 from fastapi import Depends, Request
 
-from farfield_api.errors import CsrfMissing, KeyMissing, KeyUnknown, ScopeMissing
+from farfield_api.errors import CsrfMissing, KeyMissing, KeyUnknown, ScopeMissing, TenantNeeded, TenantRefused
 from farfield_api.state import Service, State
 
 COOKIE = "farfield_session"
@@ -45,7 +47,30 @@ def key_of_session(secret: str, session: str) -> str | None:
 
 
 def authenticate(request: Request, service: State) -> Caller:
-    """Return who asks. Raises KeyMissing, KeyUnknown, CsrfMissing."""
+    """Return who asks, counted against the limits of the key, and in which tenant.
+
+    An admin of the operator's tenant acts in the tenant that the header Farfield-Tenant names; with * it reads what
+    all of them have. Raises KeyMissing, KeyUnknown, CsrfMissing, RateLimited, TenantRefused, TenantNotFound, TenantNeeded.
+    """
+    caller = _holder(request, service)
+    request.state.caller = caller
+    service.key_use.note(caller.key_id)
+    safe = request.method in SAFE
+    request.state.rate = service.rates.spend(caller.key_id, name="read" if safe else "write")
+    named = request.headers.get("farfield-tenant", caller.tenant_id)
+    if named != caller.tenant_id:
+        if not (caller.operator and "admin" in caller.scopes):
+            raise TenantRefused
+        if named != ALL:
+            tenants.get_tenant(service.engine, named)
+        elif not safe:
+            raise TenantNeeded
+        caller = replace(caller, tenant_id=named)
+        request.state.caller = caller
+    return caller
+
+
+def _holder(request: Request, service: State) -> Caller:
     header = request.headers.get("authorization")
     if header is not None:
         scheme, _, key = header.partition(" ")

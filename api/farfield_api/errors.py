@@ -6,6 +6,7 @@
 
 import errno
 import logging
+from collections.abc import Mapping
 from typing import Any
 
 from farfield import errors, logs
@@ -126,6 +127,35 @@ class StoreFull(FarfieldError):
         super().__init__("the service has no room left")
 
 
+class TenantRefused(AccessError):
+    advice = "Leave Farfield-Tenant out, or use an admin key of the operator."
+
+    def __init__(self) -> None:
+        super().__init__("this key acts in its own tenant only")
+
+
+class TenantNeeded(FarfieldError):
+    advice = "Name one tenant in Farfield-Tenant; * is for reading."
+
+    def __init__(self) -> None:
+        super().__init__("a change happens in one tenant")
+
+
+class RateLimited(FarfieldError):
+    advice = "Wait as long as Retry-After says, then go on; RateLimit-Policy says how much is allowed."
+
+    def __init__(self, headers: Mapping[str, str], wait_s: int) -> None:
+        super().__init__(f"too many requests with this key; go on in {wait_s} s")
+        self.headers = {**headers, "retry-after": str(wait_s)}
+
+
+class PreconditionFailed(FarfieldError):
+    advice = "Read it again, look at what has changed, and send If-Match with its new ETag."
+
+    def __init__(self) -> None:
+        super().__init__("it has changed since the ETag in If-Match was sent")
+
+
 class CursorInvalid(FarfieldError):
     advice = "Use the `next` of the page before, unchanged."
 
@@ -153,6 +183,18 @@ STATUS: dict[type[FarfieldError], int] = {
     UploadChecksumWrong: 460,
     StoreFull: 507,
     CursorInvalid: 422,
+    TenantNeeded: 422,
+    RateLimited: 429,
+    PreconditionFailed: 412,
+    errors.QuotaExceeded: 403,
+    errors.RunningQuotaExceeded: 429,
+    errors.WebhookError: 422,
+    errors.TenantNotFound: 404,
+    errors.KeyNotFound: 404,
+    errors.WebhookNotFound: 404,
+    errors.DeliveryNotFound: 404,
+    errors.TenantExists: 409,
+    errors.SceneInUse: 409,
     InputRefused: 422,
     errors.SceneError: 422,
     errors.SettingsInvalid: 422,
@@ -225,7 +267,11 @@ def add_handlers(app: FastAPI) -> None:
         more = {"key": error.key} if isinstance(error, errors.SettingsInvalid) else {}
         if status == 500:
             log.error("%s %s: %s: %s", request.method, request.url.path, error.code, error)
-        return problem(status, error.code, str(error), error.advice, **more)
+        answer = problem(status, error.code, str(error), error.advice, **more)
+        answer.headers.update(getattr(error, "headers", {}))
+        if isinstance(error, errors.RunningQuotaExceeded):
+            answer.headers["retry-after"] = "30"
+        return answer
 
     @app.exception_handler(OSError)
     async def full(request: Request, error: OSError) -> JSONResponse:
@@ -238,12 +284,16 @@ def add_handlers(app: FastAPI) -> None:
     async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         found = [{"where": ".".join(map(str, e["loc"])), "what": e["msg"]} for e in error.errors()]
         text = "; ".join(f"{e['where']}: {e['what']}" for e in found)
+        if all(e["loc"][0] == "path" for e in error.errors()):  # what nothing can be called is not there
+            return problem(404, "NotFound", f"there is nothing at {request.url.path}", errors=found)
         return problem(422, "RequestInvalid", text, "See /v1/openapi.json for the form of the request.", errors=found)
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
         codes = {404: "NotFound", 405: "MethodNotAllowed", 413: "RequestTooLarge"}
-        return problem(error.status_code, codes.get(error.status_code, "RequestRefused"), str(error.detail))
+        answer = problem(error.status_code, codes.get(error.status_code, "RequestRefused"), str(error.detail))
+        answer.headers.update(error.headers or {})
+        return answer
 
     @app.exception_handler(Exception)
     async def unexpected(request: Request, error: Exception) -> JSONResponse:

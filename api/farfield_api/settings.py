@@ -10,8 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from farfield.store.artifacts import CACHE_BYTES
+from farfield.store.quotas import Quota
+from farfield.webhooks import Network, networks
 
 MIGRATIONS = Path(os.environ.get("FARFIELD_MIGRATIONS", Path(__file__).resolve().parents[2] / "migrations"))
+NO_QUOTA = Quota()
 INSPECT = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
 CALIBRATE = (sys.executable, "-m", "farfield.cli.main", "calibrate", "--json")
 
@@ -37,6 +40,11 @@ class ApiSettings:
     inspect_command: tuple[str, ...] = INSPECT  # prints what it reads of the file named last, as JSON
     calibrate_command: tuple[str, ...] = CALIBRATE  # prints the profile of the samples in the file named last, as JSON
     session_s: int = 12 * 3600
+    rate_read: str = "12000/minute"  # requests of a key that read; empty: no limit
+    rate_write: str = "1200/minute"  # ... that change something
+    rate_store: str = "memory://"  # where they are counted; a Redis URL where there are several API processes
+    quota: Quota = NO_QUOTA  # of tenants that have none of their own
+    webhook_networks: tuple[Network, ...] = ()  # networks that webhooks may reach although they are not public
     poll_s: float = 0.25  # how often the streams look for new events
     migrations: Path = MIGRATIONS  # the versions of the tables that this code knows
     metrics_port: int | None = None  # also answer /metrics there without a key; None: only with one
@@ -49,6 +57,8 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
     """Return the settings that the variables FARFIELD_* give."""
     web = environment.get("FARFIELD_WEB", str(Path(__file__).resolve().parents[2] / "webviewer" / "dist"))
     named = json.loads(environment.get("FARFIELD_PLACEMENTS", "{}"))
+    quota = {name: int(environment.get(f"FARFIELD_{name.upper()}", 0)) or None
+             for name in ("max_bytes", "max_jobs", "max_running")}  # fmt: skip
     return ApiSettings(
         database_url=environment["FARFIELD_DATABASE_URL"],
         broker_url=environment["FARFIELD_BROKER_URL"],
@@ -67,5 +77,10 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
         metrics_port=int(environment["FARFIELD_METRICS_PORT"]) if environment.get("FARFIELD_METRICS_PORT") else None,
         metrics_host=environment.get("FARFIELD_METRICS_HOST", "127.0.0.1"),
         cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
+        rate_read=environment.get("FARFIELD_RATE_READ", "12000/minute"),
+        rate_write=environment.get("FARFIELD_RATE_WRITE", "1200/minute"),
+        rate_store=environment.get("FARFIELD_RATE_STORE", "memory://"),
+        quota=Quota(**quota),
+        webhook_networks=networks(environment.get("FARFIELD_WEBHOOK_NETWORKS", "")),
         cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
     )

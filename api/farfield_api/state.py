@@ -7,7 +7,10 @@ import sqlalchemy as sa
 from farfield.store.artifacts import Artifacts
 from fastapi import Depends, Request
 
+from farfield_api.key_use import KeyUse
 from farfield_api.queue import Queue
+from farfield_api.rates import RateLimits
+from farfield_api.readiness import Readiness
 from farfield_api.settings import ApiSettings
 from farfield_api.streams import EventPoller
 
@@ -19,6 +22,9 @@ class State:
     artifacts: Artifacts
     queue: Queue
     poller: EventPoller
+    readiness: Readiness
+    rates: RateLimits
+    key_use: KeyUse
 
 
 def state_of(request: Request) -> State:

@@ -3,6 +3,7 @@
 Bytes count once a tenant, whatever it shares with others below the API: what another tenant has changes no figure here.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,12 +48,20 @@ def quota_of(engine: sa.Engine, tenant_id: str, default: Quota) -> Quota:
         return _quota(tx, tenant_id, default)
 
 
-def set_quota(engine: sa.Engine, tenant_id: str, quota: Quota) -> None:
-    """Give the tenant limits of its own; None: the service's. Raises TenantNotFound."""
+def set_quota(
+    engine: sa.Engine, tenant_id: str, quota: Quota, *, expect: Callable[[sa.Row[Any]], object] = bool
+) -> None:
+    """Give the tenant limits of its own; None: the service's. Raises TenantNotFound.
+
+    expect  is called with the tenant's row as it is, and may refuse
+    """
     values = {"max_bytes": quota.max_bytes, "max_jobs": quota.max_jobs, "max_running": quota.max_running}
     with write(engine) as tx:
-        if not tx.execute(sa.update(tenant).where(tenant.c.id == tenant_id).values(**values)).rowcount:
+        row = tx.execute(sa.select(tenant).where(tenant.c.id == tenant_id).with_for_update()).one_or_none()
+        if row is None:
             raise TenantNotFound(tenant_id)
+        expect(row)
+        tx.execute(sa.update(tenant).where(tenant.c.id == tenant_id).values(**values))
 
 
 def room_bytes(engine: sa.Engine, tenant_id: str, default: Quota) -> int | None:
