@@ -12,7 +12,8 @@ from typing import Any
 
 import sqlalchemy as sa
 from celery import Celery
-from celery.signals import worker_process_init
+from celery.signals import setup_logging, worker_process_init, worker_ready, worker_shutdown
+from farfield import logs
 from farfield.stages import RUN_SHARD, Queue
 from farfield.store import progress
 from farfield.store.artifacts import Artifacts, open_artifacts
@@ -20,6 +21,7 @@ from farfield.store.engine import open_engine
 from farfield.store.progress import WINDOW
 from kombu.exceptions import OperationalError
 
+from farfield_workers import telemetry
 from farfield_workers.lease import UNREACHABLE
 from farfield_workers.settings import WorkerSettings, from_environment
 from farfield_workers.table import Pipeline, load_pipeline
@@ -71,6 +73,35 @@ app.conf.update(
 def after_fork(**_: object) -> None:
     """Forget the parent's connections without closing them: they are still the parent's."""
     engine().dispose(close=False)
+
+
+@setup_logging.connect
+def write_logs(**_: object) -> None:
+    logs.configure("worker")
+    logs.say(worker=settings().worker)
+
+
+@worker_ready.connect
+def tell_of_us(sender: Any, **_: object) -> None:
+    queues = tuple(sorted(sender.app.amqp.queues.consume_from))
+    if queues == (str(Queue.GL),):  # a baker: it will need the context in any case
+        prepare_baker()
+    telemetry.here.start(engine(), name=settings().worker, host=settings().host, queues=queues)
+
+
+@worker_shutdown.connect
+def tell_of_our_end(**_: object) -> None:
+    telemetry.here.stop(engine())
+
+
+def prepare_baker() -> None:
+    """Make the OpenGL context, so that the renderer is known from the start; without one, numba bakes the same."""
+    from farfield.bake.gl.context import NoContext, context
+
+    try:
+        context()
+    except NoContext as error:
+        log.warning("no OpenGL: %s", error)
 
 
 @app.task(name=RUN_SHARD)

@@ -7,11 +7,14 @@ import logging
 import signal
 import threading
 
+from farfield import logs
 from farfield.stages import Queue
 from farfield.store import progress
 
 from farfield_workers.app import artifacts, engine, pipeline, settings, wake
 from farfield_workers.lease import UNREACHABLE
+from farfield_workers.upkeep import Upkeep, from_environment
+from farfield_workers.webhooks import Postman
 from farfield_workers.work import advance
 
 EVERY_S = 2.0
@@ -36,17 +39,23 @@ def reconcile() -> int:
 
 def main() -> None:
     """Reconcile until SIGTERM or SIGINT."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s reconciler %(levelname)s %(message)s")
+    logs.configure("reconciler")
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    upkeep = Upkeep(engine(), artifacts(), from_environment())
+    upkeep.start()
+    postman = Postman(engine(), settings().webhook_networks)
+    threading.Thread(target=postman.run, args=(stop,), name="webhooks", daemon=True).start()
     while not stop.wait(EVERY_S):
         try:
             sent = reconcile()
+            upkeep.round(sent)
             if sent:
                 log.info("sent %d messages", sent)
         except UNREACHABLE:
             log.warning("the database does not answer", exc_info=True)
+    upkeep.stop()
 
 
 if __name__ == "__main__":

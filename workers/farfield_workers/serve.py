@@ -29,10 +29,11 @@ import alembic.config
 import sqlalchemy as sa
 from farfield.errors import FarfieldError, ServiceError
 from farfield.executor import THREADS
-from farfield.store import progress, tenants
+from farfield.store import progress, tenants, workers
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
 
+from farfield_workers.__main__ import QUEUES, new_name, worker_command
 from farfield_workers.broker import broker_command, wait_for_broker
 from farfield_workers.children import Child, stop_children
 
@@ -98,6 +99,7 @@ def serve(options: Options) -> int:
             engine = open_engine(database)
             migrate(engine)
             key, made = first_key(engine, options.data / "api-key")
+            workers.end(engine, None)
             progress.release_worker(engine, None)  # we hold the lock: whoever held a lease is dead
             LocalArtifacts(options.data / "artifacts").clear_temporary()
             command, broker = broker_command(runtime)
@@ -154,15 +156,12 @@ def _python_children(
     for slot in range(1, options.workers + 1):
 
         def named(slot: int = slot) -> Mapping[str, str]:
-            return {**environment, "FARFIELD_WORKER": f"{socket.gethostname()}:{slot}:{secrets.token_hex(4)}"}
+            return {**environment, "FARFIELD_WORKER": new_name(str(slot))}
 
-        command = [python, "-m", "celery", "-A", "farfield_workers.app", "worker", "-P", "solo",
-                   "-Q", "cpu,optimizer,gl", "-n", f"slot{slot}@%h", "--loglevel", "INFO",
-                   "--without-gossip", "--without-mingle", "--without-heartbeat"]  # fmt: skip
         found.append(
             Child(
                 name=f"worker {slot}",
-                command=command,
+                command=worker_command(QUEUES, name=f"slot{slot}"),
                 environment=named,
                 log=log / f"worker-{slot}.log",
                 died=lambda given: _release(engine, given["FARFIELD_WORKER"]),
@@ -174,6 +173,7 @@ def _python_children(
 def _release(engine: sa.Engine, worker: str) -> None:
     try:
         progress.release_worker(engine, worker)
+        workers.end(engine, worker)
     except sa.exc.OperationalError as error:  # its leases then lapse by themselves
         print(f"farfield: the leases of {worker} could not be released: {error}", file=sys.stderr)
 
@@ -181,6 +181,7 @@ def _release(engine: sa.Engine, worker: str) -> None:
 def _hand_back(engine: sa.Engine) -> None:
     try:
         progress.hand_back(engine)
+        workers.end(engine, None)
     except sa.exc.OperationalError as error:  # the next start then counts them as attempts that died
         print(f"farfield: what ran could not be handed back: {error}", file=sys.stderr)
 

@@ -16,9 +16,9 @@ from importlib.metadata import version
 from typing import Any
 
 import sqlalchemy as sa
-from farfield import errors, logs
+from farfield import logs
 from farfield.store import workers
-from farfield.store.counters import Counts
+from farfield.store.counters import Counts, known_code
 from farfield.store.shards import Claim
 from farfield.store.workers import HEARTBEAT_S, Telling
 
@@ -57,11 +57,6 @@ class Telemetry:
                     self._told.busy_seconds += time.monotonic() - self._held[1]
                 self._held = None
 
-    def took_over(self, held: Claim) -> None:
-        """Count a shard whose worker had died or fallen silent."""
-        self.counts.add("leases_lost", stage=held.stage)
-        log.warning("taken over: the lease of its worker ran out")
-
     def done(self, held: Claim, *, seconds: float, n_bytes: int, cached: bool) -> None:
         """Count and log a shard whose result is committed."""
         self.counts.add("shards", stage=held.stage, outcome="cached" if cached else "computed")
@@ -85,7 +80,8 @@ class Telemetry:
                 self._told.failed += 1
 
     def stopped(self, held: Claim) -> None:
-        """Count a shard that is no longer ours."""
+        """Count a shard that is no longer ours: its job was cancelled, or another worker took it over."""
+        log.info("stopped")
         self.counts.add("shards", stage=held.stage, outcome="stopped")
 
     def start(self, engine: sa.Engine, *, name: str, host: str, queues: tuple[str, ...]) -> None:
@@ -137,12 +133,6 @@ def _renderer() -> str | None:
     """Return the renderer of the OpenGL context of this process. Makes none: most workers never need it."""
     module = sys.modules.get("farfield.bake.gl.context")
     return module.renderer() if module is not None else None
-
-
-def known_code(code: str) -> str:
-    """Return an error's code where it is one of ours, else "Other": labels are few."""
-    ours = isinstance(getattr(errors, code, None), type) or code in ("OutOfMemory", "WorkerDied")
-    return code if ours else "Other"
 
 
 here = Telemetry()

@@ -85,7 +85,7 @@ class Upkeep:
             drop_leftovers(self.artifacts.temporary)
             log.info("listed the store", extra={"fields": {"without_a_row": adopted}})
         if self._is_due("expire", every):
-            for what, number in retention.expire(self.engine, self.settings.keep, remove=self.artifacts.remove).items():
+            for what, number in retention.expire(self.engine, self.settings.keep).items():
                 if number:
                     self.counts.add("expired", float(number), what=what)
                     log.info("deleted what is past its time", extra={"fields": {"what": what, "number": number}})

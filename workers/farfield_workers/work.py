@@ -26,6 +26,7 @@ from farfield.store.fair import Host, next_shard
 from farfield.store.progress import Message
 from farfield.store.shards import Claim
 
+from farfield_workers import telemetry
 from farfield_workers.compute import Call, Result, compute, compute_isolated
 from farfield_workers.lease import HandedOver, ShardStopped, leased, patiently
 from farfield_workers.restore import Restorer
@@ -68,18 +69,20 @@ def work(
     )
     if held is None:
         return []
-    where = {"job": held.job_id, "stage": held.stage, "kind": held.kind, "ordinal": held.ordinal}
-    try:
-        if _run(engine, artifacts, pipeline, settings, held) == "more":
+    with telemetry.here.shard(held):
+        try:
+            if _run(engine, artifacts, pipeline, settings, held) == "more":
+                return []
+        except ShardStopped:
+            telemetry.here.stopped(held)
             return []
-    except ShardStopped:
-        log.info("stopped %s", where)
-        return []
-    except Exception as error:
-        log.exception("failed %s attempt %d", where, held.attempt)
-        if _given_back(engine, held, error) == "ready":
-            return [Message(shard_id, held.queue)]
-    return advance(engine, artifacts, pipeline, settings, held.job_id)
+        except Exception as error:
+            log.exception("failed")
+            state = _given_back(engine, held, error)
+            telemetry.here.failed(held, code=_told(error, held.stage)["code"], again=state == "ready")
+            if state == "ready":
+                return [Message(shard_id, held.queue)]
+        return advance(engine, artifacts, pipeline, settings, held.job_id)
 
 
 def advance(
@@ -150,6 +153,7 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
     )  # fmt: skip
     if outcome == "lost":
         raise ShardStopped
+    telemetry.here.done(held, seconds=seconds, n_bytes=found.n_bytes, cached=cached)
     if checkpoint is not None and not timed:
         artifacts.drop_checkpoint(checkpoint)
     return outcome

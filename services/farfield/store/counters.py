@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
+from farfield import errors
 from farfield.store.engine import read, write
 from farfield.store.tables import counter
 
@@ -88,12 +89,23 @@ def count_stage(tx: sa.Connection, name: str, state: str, seconds: float) -> Non
     add(tx, counts._waiting)
 
 
+def count_lost(tx: sa.Connection, name: str) -> None:
+    """Count a shard of this stage that was taken back from a worker that died or fell silent."""
+    add(tx, {("leases_lost", labelled({"stage": name})): 1.0})
+
+
 def count_job(tx: sa.Connection, state: str, code: str | None = None) -> None:
     """Count a job that has ended; `code` names the error of one that failed."""
     counts: dict[Key, float] = {("jobs_ended", labelled({"state": state})): 1.0}
     if code is not None:
-        counts[("job_failures", labelled({"code": code}))] = 1.0
+        counts[("job_failures", labelled({"code": known_code(code)}))] = 1.0
     add(tx, counts)
+
+
+def known_code(code: str) -> str:
+    """Return an error's code where it is one of ours, else "Other": labels are few."""
+    ours = isinstance(getattr(errors, code, None), type) or code in ("OutOfMemory", "WorkerDied")
+    return code if ours else "Other"
 
 
 def totals(engine: sa.Engine) -> dict[Key, float]:

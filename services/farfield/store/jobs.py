@@ -16,7 +16,7 @@ from farfield.errors import (
     WebhookNotFound,
 )
 from farfield.stages import Queue
-from farfield.store import events, quotas
+from farfield.store import counters, events, quotas
 from farfield.store.engine import new_id, now, read, write
 from farfield.store.pages import Cursor, holding, newest_first, owned
 from farfield.store.progress import Message, drop_shards
@@ -190,6 +190,7 @@ def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
         tx.execute(sa.update(stage).where(stage.c.job_id == job_id, begun).values(finished_at=now()))
         drop_shards(tx, job_id)
         events.append(tx, job_id, "job", {"state": "cancelled"})
+        counters.count_job(tx, "cancelled")
         return "cancelled"
 
 

@@ -17,7 +17,7 @@ import sqlalchemy as sa
 
 from farfield.memory import Need
 from farfield.stages import Queue
-from farfield.store import events
+from farfield.store import counters, events
 from farfield.store.artifacts import Artifacts
 from farfield.store.engine import new_id, now, read, write
 from farfield.store.shards import LEASE_S, MAX_ATTEMPTS, lapsed, lock_job
@@ -64,6 +64,7 @@ def fail_job(tx: sa.Connection, job_id: str, stage_id: str, error: Mapping[str, 
     ).rowcount  # fmt: skip
     if updated:
         tx.execute(sa.update(stage).where(stage.c.id == stage_id).values(state="failed", finished_at=now()))
+        counters.count_job(tx, "failed", str(error.get("code")))
         drop_shards(tx, job_id)
         events.append(tx, job_id, "stage", {"stage": error.get("stage"), "state": "failed"})
         events.append(tx, job_id, "job", {"state": "failed", "error": dict(error)})
@@ -138,6 +139,7 @@ def _take_back(engine: sa.Engine, which: sa.ColumnElement[bool]) -> int:
             same = (shard.c.id == row.id) & (shard.c.attempt == row.attempt) & which
             if tx.execute(sa.update(shard).where(same).values(lease_until=None, **values)).rowcount:
                 number += 1
+                counters.count_lost(tx, row.name)
                 fact = {"stage": row.name, "kind": row.kind, "ordinal": row.ordinal, "state": values["state"]}
                 events.append(
                     tx, row.job_id, "shard", {**fact, "attempt": row.attempt, "error": DIED if over else LOST}
@@ -241,6 +243,7 @@ def _step(
                 .values(state="done", verdict=verdict, report_digest=digest, figures=_figures(report), finished_at=now())
             )  # fmt: skip
             events.append(tx, job_id, "job", {"state": "done", "verdict": verdict})
+            counters.count_job(tx, "done")
             return True, []
     return False, []
 
@@ -269,6 +272,8 @@ def _set(tx: sa.Connection, at: sa.Row[Any], state: str, *, total: int | None = 
     skipped = values.get("skipped", at.skipped)
     data.update({"skipped": skipped} if skipped else {}, **({"shards": total} if total is not None else {}))
     events.append(tx, at.job_id, "stage", data)
+    if "finished_at" in values and at.started_at is not None:
+        counters.count_stage(tx, at.name, state, float(tx.scalar(sa.select(now())) or 0.0) - at.started_at)
     return True
 
 

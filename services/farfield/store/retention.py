@@ -1,10 +1,9 @@
 """What is kept for how long: ended jobs, their events, scenes that no job uses. Zero days: for ever.
 
-An ended job goes with its shards, events and report; the artifacts that only it needed go with it, what other jobs share
-stays. Of a job that stays, the last event stays, too: a stream that is taken up again must find its end.
+An ended job goes with its shards, events and report; artifacts that nothing needs then are the collector's. Of a
+job that stays, the last event stays, too: a stream that is taken up again must find its end.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import sqlalchemy as sa
@@ -27,19 +26,16 @@ class Retention:
     scenes_days: float = 0.0
 
 
-def expire(engine: sa.Engine, keep: Retention, *, remove: Callable[[str], object]) -> dict[str, int]:
-    """Delete what is older than `keep` says, up to BATCH jobs and scenes; return how many of each.
-
-    remove  removes the blob of a digest that nothing refers to any more
-    """
+def expire(engine: sa.Engine, keep: Retention) -> dict[str, int]:
+    """Delete what is older than `keep` says, up to BATCH jobs and scenes; return how many of each."""
     return {
-        "jobs": _jobs(engine, keep.jobs_days * DAY_S, remove) if keep.jobs_days else 0,
+        "jobs": _jobs(engine, keep.jobs_days * DAY_S) if keep.jobs_days else 0,
         "events": _events(engine, keep.events_days * DAY_S) if keep.events_days else 0,
         "scenes": _scenes(engine, keep.scenes_days * DAY_S) if keep.scenes_days else 0,
     }
 
 
-def _jobs(engine: sa.Engine, seconds: float, remove: Callable[[str], object]) -> int:
+def _jobs(engine: sa.Engine, seconds: float) -> int:
     with read(engine) as tx:
         old = sa.select(job.c.tenant_id, job.c.id).where(
             job.c.state.in_(jobs.ENDED), job.c.finished_at < now() - seconds
@@ -48,7 +44,7 @@ def _jobs(engine: sa.Engine, seconds: float, remove: Callable[[str], object]) ->
     number = 0
     for tenant_id, job_id in found:
         try:
-            jobs.delete(engine, tenant_id, job_id, dry_run=False, remove=remove)
+            jobs.delete(engine, tenant_id, job_id, dry_run=False)
         except (JobNotFound, JobStillRunning):  # deleted or retried meanwhile
             continue
         number += 1

@@ -49,11 +49,12 @@ def tell(engine: sa.Engine, told: Telling, *, stopped: bool = False) -> None:
         )  # fmt: skip
 
 
-def end(engine: sa.Engine, name: str) -> None:
-    """Note that the worker has ended, by whoever saw it."""
+def end(engine: sa.Engine, name: str | None) -> None:
+    """Note that the worker (None: every one) has ended, by whoever saw it."""
+    which = worker.c.name == name if name is not None else sa.true()
     with write(engine) as tx:
         tx.execute(
-            sa.update(worker).where(worker.c.name == name, worker.c.stopped_at.is_(None))
+            sa.update(worker).where(which, worker.c.stopped_at.is_(None))
             .values(stopped_at=now(), shard_id=None, stage=None, shard_since=None)
         )  # fmt: skip
 
