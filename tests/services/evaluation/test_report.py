@@ -15,6 +15,7 @@ from farfield.cli import report as report_verb
 from farfield.cli import verify as verify_verb
 from farfield.columns import files_parts, pack
 from farfield.errors import ColumnsAltered, ColumnsTooNew, PlacementFileMissing, SettingsInvalid
+from farfield.evaluation.proof.merge import merge_proofs
 from farfield.evaluation.report import build_report
 from farfield.evaluation.verify import verify
 from farfield.placement.model import Bound
@@ -54,6 +55,7 @@ def job(folder: Path, made: dict[str, Any], verified: bool = True) -> Inputs:
     artifacts: dict[Stage, Any] = {Stage.PLACEMENTDB: b"".join(bytes(p) for p in files_parts(files))}
     if verified:
         artifacts[Stage.EVALUATION] = pack("verified", {}, verify(folder, views=100))
+        artifacts[Stage.PROOF] = pack("proof", {}, merge_proofs([], confidence=0.95))
     models = {
         Stage.SCENE: made["scene"], Stage.RENDERTIME: made["model"], Stage.VIEWSPACE: made["views"],
         Stage.REPAIR: made["placement"], Stage.BAKE: made["baked"],
@@ -124,6 +126,13 @@ def test_no_evaluation_and_a_refuted_one_are_unproven(tmp_path: Path) -> None:
     assert build_report(job(tmp_path, made), RAN)["verdict"] == "valid"
     report = build_report(job(tmp_path, made, verified=False), RAN)
     assert (report["verdict"], report["verified"]) == ("unproven", None)
+    for found in (None, {"failed": 1}):  # its proof crashed, or an impostor does not look like its geometry
+        done = job(tmp_path, made)
+        del done.artifacts[Stage.PROOF]
+        if found:
+            done.artifacts[Stage.PROOF] = pack("proof", {}, found)
+        report = build_report(done, RAN)
+        assert (report["verdict"], report["proof"]) == ("unproven", found)
     lie = made_up(n_objects=60, budget=6, share=0.0, n_impostors=0)
     assert build_report(job(tmp_path / "lie", lie), RAN)["verdict"] == "unproven"
 
