@@ -38,6 +38,7 @@ def upgrade() -> None:
             op.f("uq_device_sample_device_profile_id_idempotency_key"), ["device_profile_id", "idempotency_key"]
         )
     with op.batch_alter_table("webhook") as hook:
+        hook.add_column(sa.Column("name", sa.String(length=100), server_default="", nullable=False))
         hook.add_column(sa.Column("old_secret", sa.String(length=100), nullable=True))
         hook.add_column(sa.Column("old_until", sa.Double(), nullable=True))
         hook.add_column(
@@ -107,7 +108,7 @@ def downgrade() -> None:
         op.execute(sa.text("DROP FUNCTION audit_is_append_only()"))
     op.drop_table("webhook_delivery")
     with op.batch_alter_table("webhook") as hook:
-        for name in ("active", "every_job", "events", "old_until", "old_secret"):
+        for name in ("active", "every_job", "events", "old_until", "old_secret", "name"):
             hook.drop_column(name)
     with op.batch_alter_table("device_sample") as sample:
         sample.drop_constraint(op.f("uq_device_sample_device_profile_id_idempotency_key"), type_="unique")

@@ -15,6 +15,7 @@ from farfield.store.engine import open_engine
 from farfield_workers.serve import migrate
 from farfield_workers.settings import WorkerSettings
 from farfield_workers.work import work
+from servers import postgres, postgres_template  # noqa: F401  (fixtures)
 
 
 @dataclass
@@ -25,7 +26,7 @@ class Bench:
     tenant_id: str
     pipeline: object = toy_pipeline.PIPELINE
 
-    def submit(self, budget="16 ms", **wish):
+    def submit(self, budget="16 ms", webhook_id=None, **wish):
         """Create a job for the toy scene that asks for `wish`; return (job id, first message)."""
         data = json.dumps(wish).encode()
         digest = self.artifacts.put(data)
@@ -35,7 +36,7 @@ class Bench:
         )  # fmt: skip
         return jobs.create(
             self.engine, self.tenant_id, name="toy", scene_digest=digest, idempotency_key=None,
-            settings=to_mapping(Settings(budget=budget)), stages=list(Stage),
+            settings=to_mapping(Settings(budget=budget)), stages=list(Stage), webhook_id=webhook_id,
         )  # fmt: skip
 
     def work(self, message):
@@ -63,11 +64,41 @@ def empty_database(tmp_path_factory):
     return path
 
 
+ON_BOTH = {  # tests of what databases do differently: they run on PostgreSQL, too
+    "test_a_job_passes_every_stage_and_ends_with_a_verdict",
+    "test_events_are_numbered_without_gaps_and_end_with_the_job",
+    "test_duplicate_messages_are_harmless",
+    "test_last_shards_that_finish_at_once_advance_once",
+    "test_an_odd_error_is_tried_three_times_and_shows_no_secret",
+    "test_who_lost_the_lease_commits_nothing",
+    "test_a_job_has_one_optimizer_at_a_time_and_its_fence_grows",
+    "test_three_dead_workers_fail_the_job",
+    "test_deleting_a_job_keeps_what_others_need",
+    "test_writers_in_many_threads_never_meet_a_locked_database",
+    "test_a_result_deleted_with_another_job_is_computed_again",
+    "test_workers_of_many_processes_lose_nothing_and_advance_once",
+}
+
+
+def pytest_generate_tests(metafunc):
+    if metafunc.function.__name__ in ON_BOTH:
+        metafunc.parametrize("database", ["sqlite", "postgres"], indirect=True)
+
+
 @pytest.fixture
-def bench(tmp_path, monkeypatch, empty_database):
+def database(request, tmp_path):
+    """The address of a fresh database with our tables."""
+    if getattr(request, "param", "sqlite") == "postgres":
+        server = request.getfixturevalue("postgres")
+        return server.new(request.getfixturevalue("postgres_template"))
+    shutil.copy(request.getfixturevalue("empty_database"), tmp_path)
+    return f"sqlite:///{tmp_path / 'farfield.sqlite'}"
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch, database):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # for the isolated process
-    url = f"sqlite:///{tmp_path / 'farfield.sqlite'}"
-    shutil.copy(empty_database, tmp_path)
+    url = database
     engine = open_engine(url)
     settings = WorkerSettings(
         database_url=url, broker_url="", artifacts=tmp_path / "artifacts", worker="here",

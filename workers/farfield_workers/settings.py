@@ -8,6 +8,7 @@ from pathlib import Path
 
 from farfield.memory import HEADROOM, memory_bytes
 from farfield.store.artifacts import CACHE_BYTES
+from farfield.webhooks import Network, networks
 
 THE_PIPELINE = "farfield_workers.table:PIPELINE"
 
@@ -29,6 +30,7 @@ class WorkerSettings:
     memory_bytes: int | None = None  # what all shards on the host together may need; None: not looked at
     cache: Path | None = None  # where copies of remote artifacts lie; None: ~/.cache/farfield
     cache_bytes: int = CACHE_BYTES
+    webhook_networks: tuple[Network, ...] = ()  # networks that webhooks may reach although they are not public
 
 
 def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSettings:
@@ -43,10 +45,11 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSetti
         renew_s=float(environment.get("FARFIELD_RENEW_S", 5)),
         scene_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
         scene_seconds=int(environment.get("FARFIELD_SCENE_SECONDS", 900)),
-        host=environment.get("FARFIELD_HOST", socket.gethostname()),
+        host=environment.get("FARFIELD_MEMORY_HOST", socket.gethostname()),
         memory_bytes=_memory(environment.get("FARFIELD_MEMORY_BYTES", "auto")),
         cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
         cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
+        webhook_networks=networks(environment.get("FARFIELD_WEBHOOK_NETWORKS", "")),
     )
 
 
