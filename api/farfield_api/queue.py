@@ -8,7 +8,6 @@ import logging
 import sqlalchemy as sa
 from celery import Celery
 from farfield.stages import RUN_SHARD
-from farfield.store import progress
 from farfield.store.progress import Message
 from kombu.exceptions import OperationalError
 

@@ -154,6 +154,8 @@ async def _frames(service: State, job_id: str, after: int) -> AsyncIterator[byte
         else:
             data = json.dumps({**event["data"], "at": iso(event["at"])})
             yield format_sse_event(id=str(event["seq"]), event=event["kind"], data_str=data)
+    if service.poller.closing:
+        yield format_sse_event(retry=1000, comment="this process stops: go on at another, from the last id")
 
 
 def _page(service: State, job_id: str, after: int, limit: int) -> dict[str, Any]:
