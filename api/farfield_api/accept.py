@@ -32,10 +32,9 @@ class Arrived:
 
 async def accept(service: State, tenant_id: str, file: Arrived) -> tuple[sa.Row[Any], bool]:
     """Return (the scene's row, whether it is new to this tenant); the file stays. Raises SceneError, InputRefused."""
-    try:
-        return await run_in_threadpool(scenes.get, service.engine, tenant_id, file.digest), False
-    except SceneNotFound:
-        pass
+    known = await run_in_threadpool(_known, service, tenant_id, file.digest)
+    if known is not None:
+        return known, False
     suffix = suffix_of(file)
     with TemporaryDirectory(dir=service.artifacts.temporary, prefix="read-") as folder:
         scene = Path(folder) / f"scene{suffix}"
@@ -44,6 +43,16 @@ async def accept(service: State, tenant_id: str, file: Arrived) -> tuple[sa.Row[
         shown = file.name or f"the scene{suffix}"
         summary = await read_apart(reader, scene, shown, service.settings, SCENES)
         return await run_in_threadpool(_store, service, tenant_id, file, scene, summary), True
+
+
+def _known(service: State, tenant_id: str, digest: str) -> sa.Row[Any] | None:
+    """Return the scene's row where the tenant has sent it, and nothing of it was lost: else it is stored anew."""
+    try:
+        row = scenes.get(service.engine, tenant_id, digest)
+    except SceneNotFound:
+        return None
+    blobs = (row.digest, row.inspect_digest, row.picture_digest)
+    return row if all(service.artifacts.has(blob) for blob in blobs if blob is not None) else None
 
 
 def suffix_of(file: Arrived) -> str:
