@@ -107,6 +107,11 @@ def _figures(report: Mapping[str, Any]) -> Table:
         rows.append(("device", _device(report["device"])))
     if report["hopeless_views"]:
         rows.append(("would be valid", f"with a budget of {report['smallest_budget']['text']}"))
+    proof = report.get("proof")
+    if proof and proof["pairs"]:
+        rows.append(("proved", f"{proof['pairs']} pictures with impostors against geometry, {proof['failed']} failed: "
+                               f"{proof['crack_px']} crack pixels, displaced by at most "
+                               f"{proof['worst_displacement_px']:.3f} px, FLIP {proof['flip']:.3f}"))  # fmt: skip
     found = report["verified"]
     if found:
         worst = f"worst {found['worst_ratio']:.3f} of it"

@@ -7,6 +7,7 @@ import { shortDigest, shortId } from "./format";
 import { curvePanel } from "./curve";
 import { hopelessPanel } from "./hopeless";
 import { certificate, deviceTable, figures, notes, stagesTable, worstViews } from "./report_parts";
+import { proofPanel } from "./proof";
 import type { Report } from "./report_types";
 import { count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
@@ -32,7 +33,7 @@ async function start(): Promise<void> {
   const map = h("div");
   const hopeless = h("div");
   const beside = (a: HTMLElement | null, b: HTMLElement | null): HTMLElement => h("div", { class: "two" }, a, b);
-  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), curvePanel(report) ?? "", hopeless, deviceTable(report) ?? "", notes(report) ?? "");
+  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), proofPanel(report, item) ?? "", curvePanel(report) ?? "", hopeless, deviceTable(report) ?? "", notes(report) ?? "");
   // The map needs the placement's own files; without them the report stands as it is.
   const drawn = await readMap(item, report).then((data) => new ViewMap(data, item), () => null);
   if (drawn) {

@@ -54,6 +54,37 @@ export interface Verified {
   in_problem_views?: number;
 }
 
+export interface ProofPair {
+  impostor: number;
+  position: Vec3;
+  direction: Vec3;
+  crack_px: number;
+  displacement_px: number;
+  flip: number;
+  flip_p95: number;
+  pictures: { geometry: string; impostor: string; difference: string } | null;
+}
+
+export interface Proof {
+  pairs: number;
+  impostors: number;
+  impostors_shown: number;
+  failed: number;
+  failed_impostors: number[];
+  failing_share_upper: number;
+  confidence: number;
+  allowed_px: number | null;
+  pixels: number;
+  crack_px: number;
+  worst_displacement_px: number;
+  mean_displacement_px: number;
+  pixels_in_view: number;
+  flip: number;
+  flip_p95: number;
+  worst: ProofPair[];
+  not_proven: string | null;
+}
+
 export interface ReportDevice extends DeviceProfile {
   name: string;
 }
@@ -101,6 +132,7 @@ export interface Report {
   curve?: CurvePoint[];
   stopped?: boolean;
   verified?: Verified | null;
+  proof?: Proof | null;
   warnings?: string[];
   dropped_triangles?: number;
   not_baked?: string[];
