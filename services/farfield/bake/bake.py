@@ -1,7 +1,7 @@
 """Bake impostors: plan layers, clip, record, shade, crop; in batches that merge to the same bytes however cut.
 
 Problem  Each impostor of a placement becomes textured layers that show its cluster from its whole view cell.
-Method   plan_layers -> gather -> cut -> lay_out -> record -> shade -> crop, one impostor at a time. Recording is exact
+Method   plan -> gather -> cut -> lay_out -> record -> shade -> crop, one impostor at a time. Recording is exact
          in integers (`coverage`), on OpenGL (`gl`) or numba: the same sheet, hence the same tiles, byte for byte.
          Bytes and cost are then measured on what was stored, and never exceed the estimate that chose the impostor.
 Renderer "egl" needs a context, "numba" does not; "auto" is egl where a context can be had, else numba. Which it was is
@@ -30,9 +30,10 @@ from farfield.bake.records import Surface
 from farfield.bake.shade import DECODE, ENCODE, LIGHTS
 from farfield.bake.sheets import lay_out
 from farfield.bake.textures import Pyramids, decode
+from farfield.candidates.environment import Planner
 from farfield.hierarchy.model import Hierarchy
 from farfield.impostor.kernels import cut_triangles
-from farfield.impostor.plan import LayerPlan, plan_layers
+from farfield.impostor.plan import LayerPlan
 from farfield.impostor.weight import impostor_bytes
 from farfield.placement.model import Placement
 from farfield.rendertime.cost import impostor_cost, pixels_bound_rect
@@ -131,18 +132,19 @@ def bake_batch(
 ) -> BakedLayers:  # fmt: skip
     """Return the baked impostors [a, b) of `placement`, in id order.
 
-    The layers follow `farfield.impostor.plan.plan_layers` on the placement's view cells. Raises NoContext for renderer
+    The layers follow `farfield.candidates.environment.Planner` on the placement's view cells. Raises NoContext for renderer
     "egl" without EGL, SceneUnreadable for a texture that does not decode, ImpostorError for a view cell that no
     impostor serves.
     """
     record, name = find_recorder(renderer)
+    planner = Planner(hierarchy, settings)
     rows, skipped = _Rows(), []
     ids = range(*impostors)
     spans = [(int(hierarchy.start[c]), int(hierarchy.stop[c])) for c in placement.cluster[list(ids)]]
     pyramids = decode(scene, _materials(scene, spans))
     for i, (a, b) in zip(ids, spans, strict=True):
         cluster, kind, cell = int(placement.cluster[i]), int(placement.kind[i]), placement.view_cell[i]
-        plan = plan_layers(kind, cell, hierarchy.box[cluster], settings=settings)
+        plan = planner.plan(kind, cell, cluster)
         skipped += [
             f"{scene.object_name[o]}: blended, left out" for o in range(a, b) if not scene.object_replaceable[o]
         ]

@@ -79,6 +79,7 @@ class _Work:
     floor: int  # what the cheapest impostor costs
     shafts: bool
     boxes: bool
+    alone: bool  # each for one view cell
     raw: bool  # view cells as found, not fitted
     cell_box: np.ndarray
     keys: np.ndarray
@@ -127,7 +128,8 @@ def _prepare(
     return _Work(
         delta=p.delta, dl=p.dl, screen=rendertime.screen(model), coefficient=_coefficient(model),
         floor=cheapest_cost(model), share=share, outdone=outdone,
-        shafts=wanted != "boxes", boxes=wanted != "shafts", raw=settings.placement.view_cells == "raw",
+        shafts="shafts" in wanted, boxes=wanted != "shafts", alone=wanted == "cells",
+        raw=settings.placement.view_cells == "raw",
         cell_box=np.ascontiguousarray(cells.cell_box),
         keys=kernels.cell_keys(cells.n_cells), directions=directions(),
         excess=views.cost - model.target,
@@ -236,6 +238,8 @@ def _generate_one(
     kernels.weigh_sets(
         row, member, given.gain, given.cell_box, box, work.delta, work.dl, source, raw, weight, efficiency
     )  # fmt: skip
+    if work.alone:
+        weight[np.diff(row) > 1], efficiency[np.diff(row) > 1] = np.inf, 0.0
     order = np.argsort(-efficiency, kind="stable")
     inside, view_cell = np.empty((n, len(useful)), dtype=np.int32), np.zeros((n, 9))
     number, served = np.empty((n, 3), np.int64), np.empty((n, 3), np.int64)
@@ -318,10 +322,10 @@ def refit(
     p, wanted = precision(settings), settings.placement.candidates
     view_cell = np.zeros(9)
     kind, size, layers, cost = kernels.fit_best(
-        np.ascontiguousarray(cluster_box, dtype=np.float64), boxes, np.arange(len(boxes)), wanted != "boxes",
+        np.ascontiguousarray(cluster_box, dtype=np.float64), boxes, np.arange(len(boxes)), "shafts" in wanted,
         wanted != "shafts", p.delta, p.dl, rendertime.screen(model), _coefficient(model), view_cell,
         np.empty((8 * len(boxes), 3)),
     )  # fmt: skip
     if kind < 0:
-        return BOX if wanted == "boxes" else SHAFT, view_cell, UNFIT, 0, UNFIT
+        return SHAFT if "shafts" in wanted else BOX, view_cell, UNFIT, 0, UNFIT
     return int(kind), view_cell, int(size), int(layers), int(cost)

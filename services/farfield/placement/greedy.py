@@ -32,6 +32,7 @@ from farfield.placement.curve import gather, trace
 from farfield.placement.evaluate import evaluate
 from farfield.placement.improve import improve
 from farfield.placement.limit import Limit
+from farfield.placement.maps import place_maps
 from farfield.placement.model import Placement, RegionChoice
 from farfield.placement.prospects import find_prospects
 from farfield.placement.prune import keep, prune
@@ -61,6 +62,8 @@ def place(
     check_inputs(hierarchy, views, candidates)
     if not len(views.cell):
         return _nothing_to_place(model, views)
+    if settings.placement.candidates == "environment":
+        return place_maps(hierarchy, model, views, candidates, settings=settings)
     tell = progress or (lambda share, counters: None)
     policy, limit = settings.placement, Limit(settings.placement.time_limit_s)
     end = subtree_end(hierarchy.start, hierarchy.stop)
