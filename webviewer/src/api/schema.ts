@@ -1,5 +1,25 @@
 /** Made by scripts/make_api_types.py from the API's OpenAPI document. Do not edit. */
 
+export interface AuditEntry {
+  id: number;
+  /** RFC 3339, UTC */
+  at: string;
+  tenant: string;
+  /** id of the key; null: the operator, at the machine */
+  key: string | null;
+  key_name: string;
+  address: string;
+  action: string;
+  target: string;
+  status: number;
+}
+
+export interface AuditPage {
+  entries: AuditEntry[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
 export interface BakeSettings {
   flatten?: "none" | "shine" | "all";
   page_format?: "webp" | "png" | "ktx2";
@@ -9,6 +29,35 @@ export interface CameraSettings {
   fov_deg?: number;
   width?: number;
   height?: number;
+}
+
+export interface DeliveryPage {
+  deliveries: DeliveryReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface DeliveryReply {
+  /** the webhook-id of its requests: the same at every attempt */
+  id: string;
+  webhook: string;
+  /** null: a test */
+  job: string | null;
+  event: string;
+  state: "pending" | "delivered" | "failed";
+  attempt: number;
+  /** the receiver's last answer */
+  status: number | null;
+  /** why there was none */
+  error: string | null;
+  next_at: string | null;
+  /** RFC 3339, UTC */
+  created_at: string;
+  ended_at: string | null;
+}
+
+export interface DeliveryStarted {
+  delivery: string;
 }
 
 export interface DetailSettings {
@@ -50,6 +99,64 @@ export interface JobRequest {
   settings?: Settings;
   /** what to call it; the scene's name by default */
   name?: string | null;
+}
+
+export interface KeyPage {
+  keys: KeyReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface KeyReply {
+  id: string;
+  tenant: string;
+  name: string;
+  scopes: ("read" | "submit" | "admin")[];
+  /** RFC 3339, UTC */
+  created_at: string;
+  expires_at: string | null;
+  /** to about half a minute */
+  last_used_at: string | null;
+  revoked_at: string | null;
+}
+
+export interface KeyRequest {
+  /** what it is for */
+  name: string;
+  /** read: see; submit: change; admin: keys, webhooks of all, audit */
+  scopes: ("read" | "submit" | "admin")[];
+  /** seconds until it ends; null: never */
+  expires_in_s?: number | null;
+}
+
+export interface NewKeyReply {
+  id: string;
+  tenant: string;
+  name: string;
+  scopes: ("read" | "submit" | "admin")[];
+  /** RFC 3339, UTC */
+  created_at: string;
+  expires_at: string | null;
+  /** to about half a minute */
+  last_used_at: string | null;
+  revoked_at: string | null;
+  /** what to send as Authorization: Bearer; it is shown once */
+  key: string;
+}
+
+export interface NewWebhookReply {
+  id: string;
+  name: string;
+  url: string;
+  events: ("queued" | "running" | "done" | "failed" | "cancelled")[];
+  /** false: told only of jobs that name it */
+  every_job: boolean;
+  /** false: what happens meanwhile is not told, what waits is kept */
+  active: boolean;
+  /** RFC 3339, UTC */
+  created_at: string;
+  /** with which deliveries are signed; it is shown once */
+  secret: string;
 }
 
 export interface Opening {
@@ -102,6 +209,28 @@ export interface QualitySettings {
   pixels_at?: "centre" | "anywhere";
 }
 
+export interface QuotaReply {
+  max_bytes: number | null;
+  max_jobs: number | null;
+  max_running: number | null;
+}
+
+export interface QuotaRequest {
+  /** bytes stored */
+  max_bytes?: number | null;
+  /** jobs stored */
+  max_jobs?: number | null;
+  /** jobs queued or running */
+  max_running?: number | null;
+}
+
+export interface RotateRequest {
+  /** how long the old key still works */
+  grace_s?: number;
+  /** of the new key; null: as long as the old one was made for */
+  expires_in_s?: number | null;
+}
+
 export interface Sample {
   calls: number;
   triangles: number;
@@ -146,6 +275,35 @@ export interface Target {
   to?: string;
 }
 
+export interface TenantPage {
+  tenants: TenantReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface TenantReply {
+  id: string;
+  name: string;
+  /** its admins may act in all tenants */
+  operator: boolean;
+  /** RFC 3339, UTC */
+  created_at: string;
+}
+
+export interface TenantRequest {
+  name: string;
+}
+
+export interface UsageReply {
+  tenant: string;
+  /** of its scenes, results and intermediate results, each once */
+  bytes: number;
+  jobs: number;
+  /** jobs that are queued or running */
+  running: number;
+  quota: QuotaReply;
+}
+
 export interface ViewSpaceSettings {
   boxes?: ([[number, number, number], [number, number, number]])[] | null;
   cell_m?: number | null;
@@ -158,11 +316,49 @@ export interface VisibilitySettings {
   rays?: number;
 }
 
+export interface WebhookChange {
+  name?: string | null;
+  url?: string | null;
+  events?: ("queued" | "running" | "done" | "failed" | "cancelled")[] | null;
+  every_job?: boolean | null;
+  active?: boolean | null;
+}
+
+export interface WebhookPage {
+  webhooks: WebhookReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface WebhookReply {
+  id: string;
+  name: string;
+  url: string;
+  events: ("queued" | "running" | "done" | "failed" | "cancelled")[];
+  /** false: told only of jobs that name it */
+  every_job: boolean;
+  /** false: what happens meanwhile is not told, what waits is kept */
+  active: boolean;
+  /** RFC 3339, UTC */
+  created_at: string;
+}
+
+export interface WebhookRequest {
+  name: string;
+  /** https, of a public host */
+  url: string;
+  /** the states of a job that it is told of */
+  events?: ("queued" | "running" | "done" | "failed" | "cancelled")[];
+  /** told of all jobs of the tenant (scope admin), or of those that name it */
+  every_job?: boolean;
+}
+
 /** Every route; the client names no other. */
 export type Route =
   | "GET /livez"
   | "GET /metrics"
   | "GET /readyz"
+  | "GET /v1/audit"
   | "GET /v1/devices"
   | "POST /v1/devices"
   | "GET /v1/devices/{device_id}"
@@ -177,6 +373,11 @@ export type Route =
   | "GET /v1/jobs/{job_id}/report"
   | "POST /v1/jobs/{job_id}/retry"
   | "GET /v1/jobs/{job_id}/stages/{stage}/shards"
+  | "GET /v1/keys"
+  | "POST /v1/keys"
+  | "DELETE /v1/keys/{key_id}"
+  | "GET /v1/keys/{key_id}"
+  | "POST /v1/keys/{key_id}/rotate"
   | "POST /v1/logins"
   | "GET /v1/placements"
   | "GET /v1/placements/{placement}/{path}"
@@ -190,9 +391,23 @@ export type Route =
   | "GET /v1/session"
   | "POST /v1/session"
   | "GET /v1/storage"
+  | "GET /v1/tenants"
+  | "POST /v1/tenants"
+  | "GET /v1/tenants/{tenant_id}"
+  | "GET /v1/tenants/{tenant_id}/quota"
+  | "PUT /v1/tenants/{tenant_id}/quota"
   | "GET /v1/uploads"
   | "POST /v1/uploads"
   | "DELETE /v1/uploads/{upload_id}"
   | "GET /v1/uploads/{upload_id}"
   | "HEAD /v1/uploads/{upload_id}"
+  | "GET /v1/usage"
+  | "GET /v1/webhooks"
+  | "POST /v1/webhooks"
+  | "DELETE /v1/webhooks/{webhook_id}"
+  | "GET /v1/webhooks/{webhook_id}"
+  | "GET /v1/webhooks/{webhook_id}/deliveries"
+  | "POST /v1/webhooks/{webhook_id}/deliveries/{delivery_id}/redeliver"
+  | "POST /v1/webhooks/{webhook_id}/rotate"
+  | "POST /v1/webhooks/{webhook_id}/test"
   | "GET /v1/workers";
