@@ -182,10 +182,11 @@ def commit(
             return "lost"
         if held.fence is not None:
             _release_optimizer(tx, held)
+        mine = sa.literal(peak_bytes, sa.BigInteger)
         peak = sa.func.coalesce(stage.c.peak_bytes, 0)
         counted = tx.execute(
             sa.update(stage).where(stage.c.id == held.stage_id)
-            .values(n_done=stage.c.n_done + (held.kind == "run"), peak_bytes=sa.case((peak > peak_bytes, peak), else_=peak_bytes))
+            .values(n_done=stage.c.n_done + int(held.kind == "run"), peak_bytes=sa.case((peak > mine, peak), else_=mine))
             .returning(stage.c.n_done, stage.c.n_shards)
         ).one()  # fmt: skip
         if _told_singly(held.kind, held.n_shards):
