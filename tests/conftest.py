@@ -12,6 +12,7 @@ settings.load_profile("farfield")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--accept", action="store_true", help="also place the whole demo city and check its figures")
+    parser.addoption("--chaos", action="store_true", help="disturb the service in 50 runs (tests/chaos)")
     parser.addoption("--bench", action="store_true", help="run the benchmarks (tests/benchmarks)")
     parser.addoption("--bench-large", action="store_true", help="... and those that take minutes each")
     parser.addoption("--bench-save", action="store_true", help="keep their rows in tests/benchmarks/results")
