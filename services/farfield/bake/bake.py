@@ -23,7 +23,7 @@ from farfield.bake import coverage
 from farfield.bake.area import compose, layer_starts, sample
 from farfield.bake.beside import mark_beside
 from farfield.bake.clip import bound, cut, gather
-from farfield.bake.crop import crop
+from farfield.bake.crop import Cropped, crop
 from farfield.bake.gl.context import NoContext
 from farfield.bake.model import BakedLayers
 from farfield.bake.records import Surface
@@ -161,25 +161,40 @@ def bake_batch(
         beside = mark_beside(scene, (a, b), hierarchy.box[cluster], plan, slabs, start)
         rgba = compose(slabs, surface, start, rgba, points, beside)
         for k, (width, height) in enumerate(slabs.size.tolist()):
-            found = crop(rgba[start[k] : start[k + 1]].reshape(height, width, 4))
-            if found is None:
-                continue
-            tile, (x, y), corners = found
-            low = slabs.low[k].astype(np.int64)
-            at = (int(low[0]) + x, int(low[1]) + y)
-            size_k = (tile.shape[1], tile.shape[0])
-            tile_id = rows.add_tile(size_k, tile.reshape(-1))
-            plane = float(plan.plane[k])
-            rows.layer.append((plane, float(plan.near[k]), float(plan.far[k]), corners + low, tile_id, at))
-            texels += size_k[0] * size_k[1]
-            triangles += len(corners) - 2 + cut_triangles(*size_k)
-            pixels += layer_pixels(model, plan, k, size_k)
+            cropped = _cropped(model, plan, k, rgba[start[k] : start[k + 1]].reshape(height, width, 4))
+            for tile, (x, y), corners in cropped:
+                low = slabs.low[k].astype(np.int64)
+                at = (int(low[0]) + x, int(low[1]) + y)
+                size_k = (tile.shape[1], tile.shape[0])
+                tile_id = rows.add_tile(size_k, tile.reshape(-1))
+                plane = float(plan.plane[k])
+                rows.layer.append((plane, float(plan.near[k]), float(plan.far[k]), corners + low, tile_id, at))
+                texels += size_k[0] * size_k[1]
+                triangles += len(corners) - 2 + cut_triangles(*size_k)
+                pixels += layer_pixels(model, plan, k, size_k)
         rows.impostor.append((
             plan.eye, plan.right, plan.up, plan.slope0, plan.texel, plan.resolution,
             impostor_bytes(texels, len(rows.layer) - first), impostor_cost(model, triangles=triangles, pixels=pixels),
             len(rows.layer) - first,
         ))  # fmt: skip
     return rows.build(name, tuple(skipped))
+
+
+def _cropped(model: CostModel, plan: LayerPlan, layer: int, rgba: np.ndarray) -> list[Cropped]:
+    """Return the pieces of a layer, or the one that holds it all where pieces would cost more to draw than that."""
+    pieces = crop(rgba)
+    if len(pieces) < 2:
+        return pieces
+    whole = crop(rgba, 1)
+
+    def cost(found: list[Cropped]) -> tuple[int, float]:
+        sizes = [(tile.shape[1], tile.shape[0]) for tile, _, _ in found]
+        triangles = sum(cut_triangles(*size) for size in sizes)
+        return triangles, sum(layer_pixels(model, plan, layer, size) for size in sizes)
+
+    cut, pixels = cost(pieces)
+    most_cut, most_pixels = cost(whole)
+    return pieces if cut <= most_cut and pixels <= most_pixels else whole
 
 
 def layer_pixels(model: CostModel, plan: LayerPlan, layer: int, size: tuple[int, int]) -> float:

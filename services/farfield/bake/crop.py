@@ -1,7 +1,11 @@
-"""Crop a recorded layer to what it contains: a tile, a convex polygon of at most eight corners, colours bled outwards.
+"""Crop a recorded layer to what it contains: tiles, each in a convex polygon of few corners, colours bled outwards.
 
-Polygon  The rectangle, with a corner cut at 45 degrees where that saves at least 1/32 of its area; every set texel's
-         square lies inside. A cut costs the viewer a triangle and saves it the texels beyond.
+Tiles    Up to three (`pieces`), as many as one polygon of eight corners has triangles.
+
+Polygon  The tighter of two, both around every set texel's square. The rectangle with its corners cut at 45 degrees; and
+         the convex hull of the squares, from which the edge that adds least area is taken away, its neighbours
+         prolonged, until there are few enough. Either loses what saves less than 1/32 of the rectangle: a cut costs the viewer
+         a triangle and saves it the texels beyond.
 Bleeding Empty texels up to BLEED away from a set one take the mean colour of their set or already bled neighbours
          (rounded down), alpha stays 0: bilinear filtering then never mixes in black.
 """
@@ -9,8 +13,11 @@ Bleeding Empty texels up to BLEED away from a set one take the mean colour of th
 import numpy as np
 from numba import njit
 
+from farfield.bake.pieces import MOST, rectangles
+
 BLEED = 2
 _LEAST_SAVING = 32
+MOST_CORNERS = (8, 5, 4)  # of a layer's one, two or three polygons: six triangles in all
 
 
 @njit(cache=True)
@@ -52,19 +59,29 @@ def bleed(rgba: np.ndarray, passes: int) -> None:
                     known[j, i] = turn + 2
 
 
-def crop(rgba: np.ndarray) -> tuple[np.ndarray, tuple[int, int], np.ndarray] | None:
-    """Return (tile (h,w,4) u1, (x0, y0), corners (Q,2) f64 counter-clockwise), or None if no texel is set.
+Cropped = tuple[np.ndarray, tuple[int, int], np.ndarray]
+
+
+def crop(rgba: np.ndarray, most: int = MOST) -> list[Cropped]:
+    """Return (tile (h,w,4) u1, (x0, y0), corners (Q,2) f64 counter-clockwise) of each of 1 to `most` pieces, none if no
+    texel is set.
 
     rgba  (height,width,4) u1, rows from low to high; the corners are in its texel coordinates
     """
-    extent = np.empty(8, np.int64)
-    _extent(rgba, extent)
-    if extent[1] < 0:
-        return None
-    x0, x1, y0, y1 = (int(v) for v in extent[:4])
+    if not rgba[..., 3].any():
+        return []
+    found = rectangles(rgba[..., 3], most)
+    return [_cropped(rgba, rectangle, MOST_CORNERS[len(found) - 1]) for rectangle in found.tolist()]
+
+
+def _cropped(rgba: np.ndarray, rectangle: list[int], corners: int) -> Cropped:
+    x0, x1, y0, y1 = rectangle
     tile = np.ascontiguousarray(rgba[y0:y1, x0:x1])
+    extent = np.empty(8, np.int64)
+    _extent(tile, extent)
     bleed(tile, BLEED)
-    return tile, (x0, y0), polygon(extent)
+    at = np.array([x0, y0], np.float64)
+    return tile, (x0, y0), tightest(tile[..., 3], extent, corners) + at
 
 
 def polygon(extent: np.ndarray) -> np.ndarray:
@@ -83,3 +100,95 @@ def polygon(extent: np.ndarray) -> np.ndarray:
     ]  # fmt: skip
     corners = [p for i, p in enumerate(ring) if p != ring[i - 1]]
     return np.array(corners, np.float64)
+
+
+def tightest(alpha: np.ndarray, extent: np.ndarray, most: int) -> np.ndarray:
+    """Return the corners (Q,2) f64, Q <= most, counter-clockwise, of the smaller of octagon and reduced hull.
+
+    alpha  (h,w) u1, cropped to what is set; extent  of it; most  >= 4
+    """
+    octagon = polygon(extent)
+    height, width = alpha.shape
+    if len(octagon) > most:
+        octagon = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float64)
+    corner = np.empty((4 * height + 4, 2))
+    n = _reduced(corner, _hull(alpha, corner), width, height, most)
+    hull = corner[:n]
+    if n <= most and _LEAST_SAVING * (_area(octagon) - _area(hull)) > (n - len(octagon)) * width * height:
+        return hull
+    return octagon
+
+
+@njit(cache=True)
+def _area(corner: np.ndarray) -> float:
+    total = 0.0
+    for k in range(len(corner)):
+        a, b = corner[k], corner[(k + 1) % len(corner)]
+        total += a[0] * b[1] - a[1] * b[0]
+    return total / 2
+
+
+@njit(cache=True)
+def _turn(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> float:
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+@njit(cache=True)
+def _hull(alpha: np.ndarray, corner: np.ndarray) -> int:
+    """Fill corner with the convex hull of the set texels' squares, counter-clockwise; return how many. Exact: integers."""
+    height, width = alpha.shape
+    n = 0
+    for side in range(2):  # the right side upwards, then the left side downwards
+        base = n
+        for k in range(height):
+            j = k if side == 0 else height - 1 - k
+            at = -1
+            for i in range(width):
+                x = width - 1 - i if side == 0 else i
+                if alpha[j, x] != 0:
+                    at = x
+                    break
+            if at < 0:
+                continue
+            px = float(at + 1 if side == 0 else at)
+            for step in range(2):
+                py = float(j + (step if side == 0 else 1 - step))
+                while n - base >= 2 and (
+                    _turn(corner[n - 2, 0], corner[n - 2, 1], corner[n - 1, 0], corner[n - 1, 1], px, py) <= 0
+                ):
+                    n -= 1
+                corner[n, 0], corner[n, 1] = px, py
+                n += 1
+    return n
+
+
+@njit(cache=True)
+def _reduced(corner: np.ndarray, n: int, width: int, height: int, most: int) -> int:
+    """Take edges away from a convex polygon, those that add least area first; return how many corners are left.
+
+    More than `most` are left where every further one would reach out of the rectangle.
+    """
+    worth = width * height / _LEAST_SAVING
+    while n > 3:
+        best, least, at_x, at_y = -1, np.inf, 0.0, 0.0
+        for k in range(n):
+            a, b, c, d = corner[(k + n - 1) % n], corner[k], corner[(k + 1) % n], corner[(k + 2) % n]
+            ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], c[0] - d[0], c[1] - d[1]
+            cross = ux * vy - uy * vx
+            if cross <= 0:
+                continue  # they do not meet beyond the edge
+            t = ((c[0] - b[0]) * vy - (c[1] - b[1]) * vx) / cross
+            x, y = b[0] + t * ux, b[1] + t * uy
+            if x < 0 or y < 0 or x > width or y > height:
+                continue
+            added = abs(_turn(b[0], b[1], c[0], c[1], x, y)) / 2
+            if added < least:
+                best, least, at_x, at_y = k, added, x, y
+        if best < 0 or (n <= most and least > worth):
+            break
+        corner[best, 0], corner[best, 1] = at_x, at_y
+        gone = (best + 1) % n
+        for k in range(gone, n - 1):
+            corner[k, 0], corner[k, 1] = corner[k + 1, 0], corner[k + 1, 1]
+        n -= 1
+    return n

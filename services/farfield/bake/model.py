@@ -7,7 +7,9 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BakedLayers:
-    """I impostors in L layers, cropped to what they contain; equal tiles are stored once.
+    """I impostors in L pieces of layers, cropped to what they contain; equal tiles are stored once.
+
+    Pieces of one layer stand together and have one `plane`; they may overlap by a texel, of equal content.
 
     Frame of an impostor: `eye` is its reference viewpoint; `right`, `up` (unit) span the layer planes; `back` = right x
     up points from the object to the viewer. A point at distance z in front of the eye is eye + z (a right + b up -

@@ -43,8 +43,10 @@ def cut_layers(baked: BakedLayers, shown: np.ndarray) -> Pieces:
     corners: Polygon = []
     for i in range(len(baked.eye)):
         first, stop = int(baked.layer_row[i]), int(baked.layer_row[i + 1])
+        number = 0
         for layer in range(first, stop if shown[i] else first):
             tile = int(baked.tile[layer])
+            number += layer > first and baked.plane[layer] != baked.plane[layer - 1]
             width, height = (int(n) for n in baked.tile_size[tile])
             a, b = baked.corner_row[layer], baked.corner_row[layer + 1]
             polygon = [(float(x), float(y)) for x, y in baked.corner[a:b] - baked.tile_at[layer]]
@@ -57,7 +59,7 @@ def cut_layers(baked: BakedLayers, shown: np.ndarray) -> Pieces:
                 block = blocks.setdefault(key, len(blocks))
                 for convex in halved(part):
                     layers.append(layer)
-                    numbers.append(layer - first)
+                    numbers.append(number)
                     used.append(block)
                     corners.extend((u - x, v - y) for u, v in convex)
                     counts.append(len(corners))

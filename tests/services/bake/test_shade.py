@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from farfield.bake.bake import bake_batch
-from farfield.bake.crop import bleed, crop, polygon
+from farfield.bake.crop import _extent, bleed, crop, polygon
 from farfield.bake.shade import DECODE, LIGHTING, encode_srgb, light
 from farfield.bake.textures import decode
 from farfield.candidates.model import BOX
@@ -122,22 +122,44 @@ def test_a_crop_is_tight_and_its_polygon_convex_and_small():
         else:
             rgba[rng.random((24, 31)) < rng.random() ** 4] = 9
         found = crop(rgba)
-        if found is None:
+        if not found:
             assert not rgba.any()
             continue
-        tile, (x, y), corners = found
-        np.testing.assert_array_equal(rgba[y : y + tile.shape[0], x : x + tile.shape[1], 3], tile[..., 3])
-        assert tile[..., 3].any(0)[[0, -1]].all()
-        assert tile[..., 3].any(1)[[0, -1]].all()
-        assert (tile[..., 3] > 0).sum() == (rgba[..., 3] > 0).sum()
-        assert 3 <= len(corners) <= 8
-        edge = np.roll(corners, -1, 0) - corners
-        following = np.roll(edge, -1, 0)
-        assert (edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0] > 0).all()
-        j, i = np.nonzero(rgba[..., 3])
-        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            p = np.stack([i + dx, j + dy], -1)[:, None] - corners
-            assert (edge[:, 0] * p[..., 1] - edge[:, 1] * p[..., 0] >= 0).all()
+        seen = np.zeros(rgba.shape[:2], int)
+        assert sum(len(corners) - 2 for _, _, corners in found) <= 6
+        for tile, (x, y), corners in found:
+            part = rgba[y : y + tile.shape[0], x : x + tile.shape[1], 3]
+            np.testing.assert_array_equal(part, tile[..., 3])
+            seen[y : y + tile.shape[0], x : x + tile.shape[1]] += 1
+            assert tile[..., 3].any(0)[[0, -1]].all()
+            assert tile[..., 3].any(1)[[0, -1]].all()
+            assert 3 <= len(corners) <= 8
+            edge = np.roll(corners, -1, 0) - corners
+            following = np.roll(edge, -1, 0)
+            assert (edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0] > 0).all()
+            assert ((corners >= [x, y]) & (corners <= [x + tile.shape[1], y + tile.shape[0]])).all()
+            j, i = np.nonzero(part)
+            for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+                p = np.stack([i + dx + x, j + dy + y], -1)[:, None] - corners
+                # Corners where prolonged edges meet are rounded: to some 1e-14 of the layer.
+                assert (edge[:, 0] * p[..., 1] - edge[:, 1] * p[..., 0] >= -1e-9).all()
+        assert (seen[rgba[..., 3] > 0] > 0).all()
+
+
+def test_the_polygon_of_a_slanted_roof_follows_it():
+    """Slopes that no cut at 45 degrees meets: half of the octagon is empty, the hull is tight but for its steps."""
+    for wide, high in ((60, 20), (20, 60), (40, 40), (64, 9)):
+        rgba = np.zeros((high, wide, 4), np.uint8)
+        for j in range(high):
+            rgba[j, : max(1, wide * (high - j) // high), 3] = 9
+        ((_, _, corners),) = crop(rgba, 1)
+        area = (corners[:, 0] * np.roll(corners[:, 1], -1) - np.roll(corners[:, 0], -1) * corners[:, 1]).sum() / 2
+        assert area <= (rgba[..., 3] > 0).sum() + wide + high
+        extent = np.empty(8, np.int64)
+        _extent(rgba, extent)
+        octagon = polygon(extent)
+        full = (octagon[:, 0] * np.roll(octagon[:, 1], -1) - np.roll(octagon[:, 0], -1) * octagon[:, 1]).sum() / 2
+        assert area <= full
 
 
 def test_a_diagonal_is_cut_and_a_full_rectangle_is_not():
