@@ -4,13 +4,17 @@ import os
 
 from alembic import context
 from farfield.store.engine import open_engine
+from farfield.store.migrate import prepared
 from farfield.store.tables import metadata
 
 
 def _migrate(connection):
     # SQLite cannot alter a column: alembic copies the table instead ("batch").
     batch = connection.dialect.name == "sqlite"
-    context.configure(connection=connection, target_metadata=metadata, render_as_batch=batch, compare_type=True)
+    context.configure(
+        connection=connection, target_metadata=metadata, render_as_batch=batch, compare_type=True,
+        transaction_per_migration=True,
+    )  # fmt: skip
     with context.begin_transaction():
         context.run_migrations()
 
@@ -19,6 +23,5 @@ given = context.config.attributes.get("connection")
 if given is not None:
     _migrate(given)
 else:
-    with open_engine(os.environ["FARFIELD_DATABASE_URL"]).connect() as connection:
-        _migrate(connection)
-        connection.commit()
+    with prepared(open_engine(os.environ["FARFIELD_DATABASE_URL"])) as own:
+        _migrate(own)

@@ -24,14 +24,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import alembic.command
-import alembic.config
 import sqlalchemy as sa
 from farfield.errors import FarfieldError, ServiceError
 from farfield.executor import THREADS
 from farfield.store import progress, tenants, workers
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
+from farfield.store.migrate import migrate as upgrade
 
 from farfield_workers.__main__ import QUEUES, new_name, worker_command
 from farfield_workers.broker import broker_command, wait_for_broker
@@ -56,11 +55,7 @@ class Options:
 
 def migrate(engine: sa.Engine, migrations: Path | None = None) -> None:
     """Bring the database to the newest version of the tables."""
-    folder = migrations or Path(os.environ.get("FARFIELD_MIGRATIONS", ROOT / "migrations"))
-    config = alembic.config.Config(str(folder / "alembic.ini"))
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        alembic.command.upgrade(config, "head")
+    upgrade(engine, migrations or Path(os.environ.get("FARFIELD_MIGRATIONS", ROOT / "migrations")))
 
 
 def first_key(engine: sa.Engine, path: Path) -> tuple[str, bool]:
