@@ -173,6 +173,34 @@ def test_no_layer_moves_by_more_than_a_texel_against_the_next():
     assert checked > 40
 
 
+def test_no_point_of_the_object_is_shown_off_by_more_than_alpha():
+    """All layers of a stack, in 3D: points anywhere in a slab, above all at its ends, from on and inside the cell."""
+    rng = np.random.default_rng(7)
+    worst, checked = 0.0, 0
+    while checked < 150:
+        setup = some_setup(rng, deep=0.5)
+        if estimate(setup, best_viewpoint(setup)) > 300:
+            continue
+        layers = place_layers(setup)
+        checked += 1
+        k = rng.integers(0, len(layers.t), 300)
+        near, far = layers.near[k], np.minimum(layers.far[k], 1e7 * layers.near[k])
+        z = np.where(
+            rng.random(300) < 0.4, near, np.where(rng.random(300) < 0.7, far, near + (far - near) * rng.random(300))
+        )
+        t = np.minimum(layers.t[k], 1e9 * layers.near[k])
+        tau = np.array(setup.w) / 2 / (setup.t0 + layers.s)
+        slope = rng.choice([-1, 1], (300, 2)) * tau * rng.choice([1, 1, rng.random()], (300, 1))
+        d = rng.choice([0.0, 1.0, rng.random()], 100) * (setup.m if setup.is_box else 30 * setup.t0)
+        half = np.array(setup.n) / 2 + d[:, None] * (0 if setup.is_box else setup.tangent)
+        view = np.column_stack([rng.choice([-1, 1], (100, 2)) * half * rng.choice([1, 1, rng.random()], (100, 1)), -d])
+        a, b = (np.column_stack([slope * (q + layers.s)[:, None], q])[None] - view[:, None] for q in (z, t))
+        angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1))
+        assert angle.max() <= setup.alpha_rad * (1 + 1e-6) + 1e-12, (setup, layers.s, angle.max() / setup.alpha_rad)
+        worst = max(worst, angle.max() / setup.alpha_rad)
+    assert worst > 0.8
+
+
 def test_the_count_in_constant_time_bounds_the_loop():
     rng = np.random.default_rng(5)
     exact_ones = many = 0
