@@ -192,14 +192,6 @@ def test_a_registered_folder_is_served_as_it_lies(service):
     assert service.client.get("/v1/placements").json()["placements"][0]["id"] == "town"
 
 
-def test_metrics_count_jobs_and_shards(service, worker):
-    service.create()
-    worker()
-    text = service.client.get("/metrics").text
-    assert 'farfield_jobs{state="done"} 1' in text
-    assert 'farfield_shard_seconds_count{stage="viewspace"}' in text
-
-
 def test_a_job_is_accepted_while_the_broker_is_away(service):
     job = service.create()
     row = jobs.get(service.engine, service.tenant_id, job)

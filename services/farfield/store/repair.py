@@ -31,7 +31,8 @@ def repair(engine: sa.Engine, artifacts: Artifacts, found: Iterable[Finding]) ->
     """Mend what can be mended; return what was done, in words, and what is still wrong then."""
     found = list(found)
     done = [f"{f.of}: {quarantine(artifacts, f.of)}" for f in found if f.kind == "damaged"]
-    lost = {f.of for f in found if f.kind in ("damaged", "missing")}
+    # A piece that nobody needs is needed again where what was made of it is lost.
+    lost = {f.of for f in found if f.kind in ("damaged", "missing", "leftover")}
     lost = {digest for digest in lost if not artifacts.has(digest)}
     for job_id in _jobs_that_lost(engine, lost):
         text = set_back(engine, job_id, lost)
