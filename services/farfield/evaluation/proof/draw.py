@@ -5,6 +5,7 @@ seen (object + 1, or -1 - row of the impostor and texel), depth logarithmic, so 
 distance. Nothing here knows how layers were made.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -58,9 +59,9 @@ class Drawn:
 class Drawer:
     """Programs, the level and what was loaded so far. One a process."""
 
-    def __init__(self, level: Level, placement: Placement) -> None:
-        """Raises NoContext."""
-        self.level, self.placement, self.ctx = level, placement, context()
+    def __init__(self, level: Level, placement: Placement, page: Callable[[int], np.ndarray]) -> None:
+        """page  returns a page's image. Raises NoContext."""
+        self.level, self.placement, self.ctx, self._image_of_page = level, placement, context(), page
         self.name = name(self.ctx)
         folder = resources.files("farfield.evaluation.proof")
 
@@ -178,7 +179,7 @@ class Drawer:
         if page not in self._pages:
             if len(self._pages) >= 16:
                 self._pages.pop(next(iter(self._pages))).release()
-            image = np.ascontiguousarray(self.placement.page(page))
+            image = np.ascontiguousarray(self._image_of_page(page))
             made = self.ctx.texture(image.shape[1::-1], 4, image)
             made.filter = (_NEAREST, _NEAREST)
             self._pages[page] = made

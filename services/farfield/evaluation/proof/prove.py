@@ -35,6 +35,7 @@ TOLERANCE = 1e-3  # of the pixel error: float32 positions of corners
 WRONG_SHARE, WRONG_LEAST = 0.1, 16  # texels off in depth that fail an impostor: sound ones have a few along steep edges
 BACKGROUND = np.array([0.34, 0.5, 0.64])  # linear
 PICTURE_SIDE = 320
+PAGES = 32  # decoded, 6 MB each
 
 
 def prove(folder: Path, first: int, count: int, *, seed: int, each: int) -> dict[str, Any]:
@@ -62,9 +63,10 @@ class Prover:
 
     def __init__(self, folder: Path) -> None:
         self.placement = Placement.open(folder / "placement")
+        self._page_of: dict[int, np.ndarray] = {}
         index = self.placement.index
         self.level = Level(folder / "scene.glb", index["object_box"], self.placement.origin_m)
-        self.drawer = Drawer(self.level, self.placement)
+        self.drawer = Drawer(self.level, self.placement, self._page)
         self.shown = Shown(self.placement)
         self.tan = tangents(self.placement)
         camera, quality = self.placement.manifest["camera"], self.placement.manifest["quality"]
@@ -74,18 +76,19 @@ class Prover:
         self.allowed = float(quality["pixel_error"]) / (k if quality["pixels_at"] == "anywhere" else 1.0)
         self.reach = math.ceil(self.allowed * k)
         self._tracers: dict[int, Tracer] = {}
-        self._page_of: dict[int, np.ndarray] = {}
 
     def prove(self, first: int, count: int, *, seed: int, each: int) -> dict[str, Any]:
         """Return what pairs [first, first + count) show, as JSON values; see `merge_proofs` for the keys."""
+        drawn = [(number, *self.shown.pair(number, seed, each)) for number in range(first, first + count)]
         rows: list[dict[str, Any]] = []
-        for number in range(first, first + count):
-            pair, seen = self.shown.pair(number, seed, each)
+        # neighbours share pages
+        for number, pair, seen in sorted(drawn, key=lambda d: (d[1].impostor, d[0])):
             row = self._judge(pair) if seen else None
             if row is not None:
-                rows.append(row)
+                rows.append({"pair": number, **row})
             for dropped in sorted(rows, key=badness, reverse=True)[PICTURES:]:
                 dropped["pictures"] = None
+        rows.sort(key=lambda row: int(row["pair"]))
         for row in rows:
             pictures = row["pictures"]
             row["pictures"] = None if pictures is None else self._keep(pictures)
@@ -99,11 +102,12 @@ class Prover:
         assert rect is not None
         own = np.zeros(len(index["object_box"]), bool)
         own[impostor.objects] = True
+        start, stop = (index[f"cluster_{end}"][index["impostor_cluster"]] for end in ("start", "stop"))
         lookup = placement.lookup(pair.position, pair.direction)
         all_objects = own.copy()
         all_objects[lookup.objects] = True
         for other in lookup.impostors:
-            all_objects[placement.impostors[int(other)].objects] = True
+            all_objects[start[other] : stop[other]] = True
         window = Window(
             eye=pair.position - placement.origin_m, frame=frame_of(pair.direction), tan=self.tan, size=self.size,
             rect=self._part(rect),
@@ -120,21 +124,26 @@ class Prover:
         moved = self._moved(impostor, layers.what, layers.texel, pair)
         fine = Window(eye=window.eye, frame=window.frame, tan=window.tan, size=window.size, rect=window.rect, fine=2)
         near = self._near(all_objects, fine)
-        truth, shown = self.drawer.draw(fine, near), self.drawer.draw(fine, near & ~own, impostor)
-        of_cluster = np.zeros(len(own) + 1, bool)
-        of_cluster[1:] = own
-        shows = of_cluster[np.maximum(truth.what, 0)] & (truth.what > 0)
-        hidden = inside(shows, 2 * self.reach) & (shown.what >= 0) & np.repeat(np.repeat(covered, 2, 0), 2, 1)
-        area = (shows | (shown.what < 0)).reshape(covered.shape[0], 2, covered.shape[1], 2).any((1, 3))
-        flip, pictures = np.zeros(1), None
-        if area.any():
-            pictures = shrunk(truth.color, BACKGROUND), shrunk(shown.color, BACKGROUND)
-            flip = difference(*pictures)[area]
+        flip, pictures, hidden, seen_px = np.zeros(1), None, 0, 0
+        together = self.drawer.draw(window, near, impostor, whole=True).what
+        if ((together < 0) | own[np.maximum(together - 1, 0)] & (together > 0)).any():  # else the level hides it
+            truth, shown = self.drawer.draw(fine, near), self.drawer.draw(fine, near & ~own, impostor)
+            shows = own[np.maximum(truth.what - 1, 0)] & (truth.what > 0)
+            wide = np.repeat(np.repeat(covered, 2, 0), 2, 1)
+            hidden = int((inside(shows, 2 * self.reach) & (shown.what >= 0) & wide).sum())
+            area = (shows | (shown.what < 0)).reshape(covered.shape[0], 2, covered.shape[1], 2).any((1, 3))
+            seen_px = int(area.sum())
+            if seen_px:
+                pictures = shrunk(truth.color, BACKGROUND), shrunk(shown.color, BACKGROUND)
+                rows, columns = (
+                    slice(max(int(n.min()) - MARGIN, 0), int(n.max()) + MARGIN) for n in np.nonzero(area)
+                )  # fmt: skip
+                flip = difference(*(p[rows, columns] for p in pictures))[area[rows, columns]]
         n_cracks = int(cracks.sum())
         row = {
             "impostor": pair.impostor, "position": pair.position.tolist(), "direction": pair.direction.tolist(),
-            "pixels": int((covered | (geometry.what > 0)).sum()), "seen_px": int(area.sum()), "crack_px": n_cracks,
-            "hidden_px": int(hidden.sum()) / 4, "texels": moved.texels, "open_texels": moved.open,
+            "pixels": int((covered | (geometry.what > 0)).sum()), "seen_px": seen_px, "crack_px": n_cracks,
+            "hidden_px": hidden / 4, "texels": moved.texels, "open_texels": moved.open,
             "wrong_texels": moved.wrong, "displacement_px": moved.largest, "displacement_sum_px": moved.total,
             "flip": float(flip.mean()), "flip_p95": float(np.percentile(flip, 95)),
         }  # fmt: skip
@@ -187,7 +196,7 @@ class Prover:
 
     def _page(self, page: int) -> np.ndarray:
         if page not in self._page_of:
-            if len(self._page_of) >= 16:
+            if len(self._page_of) >= PAGES:
                 self._page_of.pop(next(iter(self._page_of)))
             self._page_of[page] = self.placement.page(page)
         return self._page_of[page]
