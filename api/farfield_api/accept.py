@@ -87,6 +87,6 @@ def _store(service: State, tenant_id: str, file: Arrived, scene: Path, summary: 
     service.artifacts.put_file(scene, file.digest)
     scenes.add(
         service.engine, tenant_id, digest=file.digest, name=file.name or scene.name, suffix=scene.suffix,
-        n_bytes=file.n_bytes, summary=summary, check=service.artifacts.has, **stored,
+        n_bytes=file.n_bytes, summary=summary, quota=service.settings.quota, check=service.artifacts.has, **stored,
     )  # fmt: skip
     return scenes.get(service.engine, tenant_id, file.digest)

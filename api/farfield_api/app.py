@@ -26,6 +26,7 @@ from farfield_api.resumable import keep_swept
 from farfield_api.routes import (
     audit,
     devices,
+    events,
     health,
     jobs,
     keys,
@@ -59,7 +60,8 @@ def make_app(settings: ApiSettings) -> FastAPI:
         key_use=KeyUse(engine),
     )  # fmt: skip
     registry = CollectorRegistry()
-    registry.register(ClusterMetrics(engine, artifacts, state.readiness))
+    cluster = ClusterMetrics(engine, artifacts, state.readiness)
+    registry.register(cluster)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -82,7 +84,7 @@ def make_app(settings: ApiSettings) -> FastAPI:
         title="farfield", version="1", lifespan=lifespan, docs_url=None, redoc_url=None,
         openapi_url="/v1/openapi.json", max_body_size=MAX_JSON_BYTES,
     )  # fmt: skip
-    app.state.farfield, app.state.registry = state, registry
+    app.state.farfield, app.state.registry, app.state.cluster = state, registry, cluster
     app.add_middleware(Trail, engine=engine)
     app.add_middleware(Conditional)
     app.add_middleware(Gzip)
@@ -97,6 +99,7 @@ def make_app(settings: ApiSettings) -> FastAPI:
         scenes,
         uploads,
         jobs,
+        events,
         placements,
         devices,
         tenants,

@@ -7,7 +7,7 @@
 import errno
 import logging
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from farfield import errors, logs
 from farfield.errors import FailedElsewhere, FarfieldError
@@ -156,6 +156,14 @@ class PreconditionFailed(FarfieldError):
         super().__init__("it has changed since the ETag in If-Match was sent")
 
 
+class DeviceBusy(FarfieldError):
+    advice = "Nothing was kept: send the samples again in a few seconds, best all of them at once."
+    headers: ClassVar = {"retry-after": "5"}
+
+    def __init__(self) -> None:
+        super().__init__("too many samples are being fitted")
+
+
 class CursorInvalid(FarfieldError):
     advice = "Use the `next` of the page before, unchanged."
 
@@ -184,6 +192,7 @@ STATUS: dict[type[FarfieldError], int] = {
     StoreFull: 507,
     CursorInvalid: 422,
     TenantNeeded: 422,
+    DeviceBusy: 429,
     RateLimited: 429,
     PreconditionFailed: 412,
     errors.QuotaExceeded: 403,

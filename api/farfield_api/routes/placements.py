@@ -16,13 +16,22 @@ from farfield.store import jobs
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
+from farfield_api.answers import matches
 from farfield_api.auth import Reader
-from farfield_api.errors import RESPONSES
+from farfield_api.documented import refusals
 from farfield_api.pages import file_inside
+from farfield_api.paging import CursorText, Limit, cut, read_cursor
+from farfield_api.replies.scenes import PlacementPageReply, PlacementReply
 from farfield_api.slices import files_in, slice_response
 from farfield_api.state import Service, State
 
-router = APIRouter(prefix="/v1/placements", tags=["placements"], responses=RESPONSES)
+router = APIRouter(prefix="/v1/placements", tags=["placements"])
+_FILE: dict[str, Any] = {
+    "description": "the file",
+    "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in
+                ("application/octet-stream", "application/json", "model/gltf-binary", "image/webp", "image/png",
+                 "image/ktx2")},
+}  # fmt: skip
 
 IMMUTABLE = "private, max-age=31536000, immutable"
 TYPES = {
@@ -31,15 +40,28 @@ TYPES = {
 }  # fmt: skip
 
 
-@router.get("", summary="Placements to look at: ended jobs and registered folders")
-def list_placements(caller: Reader, service: Service) -> dict[str, Any]:
-    done = jobs.page(service.engine, caller.tenant_id, state="done", before=None, limit=200)
-    listed = [{"id": row.id, "name": row.name, "verdict": row.verdict} for row in done]
-    return {"placements": [*({"id": n, "name": n, "verdict": None} for n in service.settings.placements), *listed]}
+@router.get(
+    "", summary="Placements to look at: registered folders, then jobs that are done, newest first",
+    responses=refusals("CursorInvalid"),
+)  # fmt: skip
+def list_placements(
+    caller: Reader, service: Service, cursor: CursorText = None, limit: Limit = 50
+) -> PlacementPageReply:
+    before = read_cursor(cursor)
+    done = jobs.page(service.engine, caller.tenant_id, state="done", before=before, limit=limit + 1)
+    rows, following = cut(done, limit)
+    named = [PlacementReply(id=n, name=n, verdict=None) for n in service.settings.placements] if before is None else []
+    listed = [PlacementReply(id=row.id, name=row.name, verdict=row.verdict) for row in rows]
+    return PlacementPageReply(placements=[*named, *listed], next=following)
 
 
 @router.head("/{placement}/{path:path}", include_in_schema=False)
-@router.get("/{placement}/{path:path}", response_class=FileResponse, summary="A file of a placement")
+@router.get(
+    "/{placement}/{path:path}", response_class=FileResponse, summary="A file of a placement; ranges, If-None-Match",
+    responses={200: _FILE, 206: {**_FILE, "description": "the range that was asked for"},
+               304: {"description": "as the client has it"}, 416: {"description": "no such range"},
+               **refusals(PlacementNotFound, JobNotFinished)},
+)  # fmt: skip
 def show(placement: str, path: str, request: Request, caller: Reader, service: Service) -> Response:
     folder = service.settings.placements.get(placement)
     if folder is None:
@@ -51,7 +73,7 @@ def show(placement: str, path: str, request: Request, caller: Reader, service: S
     caching = IMMUTABLE if re.search("[0-9a-f]{16}", Path(path).name) else "private, no-cache"
     status = found.stat()
     headers = _headers(f"{status.st_mtime_ns}.{status.st_size}.{status.st_ino}", path, caching)
-    if headers["etag"] in request.headers.get("if-none-match", ""):
+    if matches(request.headers.get("if-none-match", ""), headers["etag"]):
         return Response(status_code=304, headers=headers)
     return FileResponse(found, headers=headers, media_type=_type(path))
 
@@ -71,7 +93,7 @@ def _of_job(job_id: str, path: str, request: Request, caller: Reader, service: S
         if span is None:
             raise PlacementNotFound(job_id, path)
     headers = _headers(digest, path, IMMUTABLE)
-    if headers["etag"] in request.headers.get("if-none-match", ""):
+    if matches(request.headers.get("if-none-match", ""), headers["etag"]):
         return Response(status_code=304, headers=headers)
     start, stop = span or (0, service.artifacts.n_bytes(digest))
     return slice_response(request, service.artifacts, digest, start, stop, media_type=_type(path), headers=headers)

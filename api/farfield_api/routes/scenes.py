@@ -8,11 +8,15 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from farfield_api import upload
 from farfield_api.accept import accept
 from farfield_api.auth import Reader, Submitter
-from farfield_api.errors import RESPONSES
+from farfield_api.documented import refusals
+from farfield_api.paging import CursorText, DryRun, Limit, Part, cut, read_cursor
+from farfield_api.replies.common import Digest
+from farfield_api.replies.scenes import SceneDeleted, ScenePageReply, SceneReply
 from farfield_api.state import Service
 from farfield_api.times import iso
 
-router = APIRouter(prefix="/v1/scenes", tags=["scenes"], responses=RESPONSES)
+router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
+_NOT_FOUND = refusals("SceneNotFound")
 
 _BODY = {
     "requestBody": {
@@ -29,9 +33,12 @@ _BODY = {
 
 
 @router.post(
-    "", status_code=201, openapi_extra=_BODY, summary="Upload a scene; 200 where it was known", max_body_size=1 << 50
-)
-async def send(request: Request, response: Response, caller: Submitter, service: Service) -> dict[str, Any]:
+    "", status_code=201, openapi_extra=_BODY, summary="Upload a scene; 200 where it was known", max_body_size=1 << 50,
+    response_model_exclude_unset=True,
+    responses={200: {"model": SceneReply, "description": "the tenant had sent it before"},
+               **refusals("UploadTooLarge", "UploadAltered", "SceneUnreadable", "SceneOverLimit", "QuotaExceeded")},
+)  # fmt: skip
+async def send(request: Request, response: Response, caller: Submitter, service: Service) -> SceneReply:
     # The limit above is no limit: `receive` counts, and names what was exceeded.
     limits = service.settings
     file = await upload.receive(
@@ -43,23 +50,47 @@ async def send(request: Request, response: Response, caller: Submitter, service:
         file.path.unlink(missing_ok=True)
     response.status_code = 201 if new else 200
     response.headers["location"] = f"/v1/scenes/{file.digest}"
-    return _shown(row)
+    return SceneReply(**_shown(row))
 
 
-@router.get("", summary="The newest scenes")
-def list_scenes(caller: Reader, service: Service, limit: int = 50) -> dict[str, Any]:
-    rows = scenes.page(service.engine, caller.tenant_id, limit=max(1, min(limit, 200)))
-    return {"scenes": [_shown(row) for row in rows]}
+@router.get(
+    "", summary="The tenant's scenes, newest first", response_model_exclude_unset=True,
+    responses=refusals("CursorInvalid"),
+)  # fmt: skip
+def list_scenes(
+    caller: Reader, service: Service, name: Part = None, cursor: CursorText = None, limit: Limit = 50
+) -> ScenePageReply:
+    rows = scenes.page(service.engine, caller.tenant_id, before=read_cursor(cursor), limit=limit + 1, name=name)
+    rows, following = cut(rows, limit, key="digest")
+    return ScenePageReply(scenes=[SceneReply(**_shown(row)) for row in rows], next=following)
 
 
-@router.head("/{digest}", summary="Is this file known (to this tenant)?")
-@router.get("/{digest}", summary="What was read of a scene: counts, bounds, warnings, suggested settings")
-def show(digest: str, caller: Reader, service: Service) -> dict[str, Any]:
-    return _shown(scenes.get(service.engine, caller.tenant_id, digest))
+@router.head(
+    "/{digest}", summary="Is this file known (to this tenant)?", response_model_exclude_unset=True, responses=_NOT_FOUND
+)
+@router.get(
+    "/{digest}", summary="What was read of a scene: counts, bounds, warnings, suggested settings",
+    response_model_exclude_unset=True, responses=_NOT_FOUND,
+)  # fmt: skip
+def show(digest: Digest, caller: Reader, service: Service) -> SceneReply:
+    return SceneReply(**_shown(scenes.get(service.engine, caller.tenant_id, digest)))
 
 
-@router.get("/{digest}/objects", summary="All that `farfield inspect` says, with the list of objects")
-def objects(digest: str, caller: Reader, service: Service) -> Response:
+@router.delete(
+    "/{digest}", summary="Delete a scene that no job needs; `dry_run` says what goes with it",
+    responses=refusals("SceneNotFound", "SceneInUse"),
+)  # fmt: skip
+def delete(digest: Digest, caller: Submitter, service: Service, dry_run: DryRun = False) -> SceneDeleted:
+    counts = scenes.delete(service.engine, caller.tenant_id, digest, dry_run=dry_run)
+    return SceneDeleted(deleted=not dry_run, **counts)
+
+
+@router.get(
+    "/{digest}/objects", summary="All that `farfield inspect` says, with the list of objects", response_class=Response,
+    responses={200: {"description": "what was read", "content": {"application/json": {"schema": {"type": "object"}}}},
+               **_NOT_FOUND},
+)  # fmt: skip
+def objects(digest: Digest, caller: Reader, service: Service) -> Response:
     row = scenes.get(service.engine, caller.tenant_id, digest)
     return Response(bytes(service.artifacts.buffer(row.inspect_digest)), media_type="application/json")
 
@@ -68,7 +99,7 @@ def objects(digest: str, caller: Reader, service: Service) -> Response:
     "/{digest}/picture", summary="The scene from above, north (-z) up, as PNG", response_class=Response,
     responses={200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}},
 )  # fmt: skip
-def picture(digest: str, caller: Reader, service: Service) -> Response:
+def picture(digest: Digest, caller: Reader, service: Service) -> Response:
     row = scenes.get(service.engine, caller.tenant_id, digest)
     if row.picture_digest is None:
         raise HTTPException(404, "this scene was sent before pictures were made")
@@ -80,6 +111,7 @@ def _shown(row: Any) -> dict[str, Any]:
     return {
         **row.summary,
         "digest": row.digest,
+        "tenant": row.tenant_id,
         "name": row.name,
         "bytes": row.n_bytes,
         "uploaded_at": iso(row.created_at),

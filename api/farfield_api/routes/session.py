@@ -47,6 +47,7 @@ async def start(opening: Opening, request: Request, response: Response, service:
         raise KeyMissing
     if caller is None:
         raise KeyUnknown
+    request.state.caller = caller  # for the audit log
     session = make_session(service.settings.secret, caller.key_id, service.settings.session_s)
     response.set_cookie(
         COOKIE, session, max_age=service.settings.session_s, httponly=True, samesite="strict",

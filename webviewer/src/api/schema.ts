@@ -31,6 +31,14 @@ export interface CameraSettings {
   height?: number;
 }
 
+export interface CurveReply {
+  budget: unknown;
+  budget_amount: unknown;
+  unit: unknown;
+  bytes: unknown;
+  curve: unknown;
+}
+
 export interface DeliveryPage {
   deliveries: DeliveryReply[];
   /** cursor of the next page; null: this is the last one */
@@ -64,6 +72,18 @@ export interface DetailSettings {
   mode?: "auto" | "on" | "off";
 }
 
+export interface DeviceLinks {
+  self: string;
+}
+
+export interface DevicePageReply {
+  /** what every service knows */
+  presets: Preset[];
+  devices: DeviceReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
 export interface DeviceProfile {
   per_frame_ns: number;
   per_call_ns: number;
@@ -75,11 +95,38 @@ export interface DeviceProfile {
   fit?: Fit | null;
 }
 
+export interface DeviceReply {
+  id: string;
+  tenant: string;
+  name: string;
+  samples: number;
+  /** see the schema DeviceProfile */
+  profile: Record<string, unknown> | null;
+  missing: Missing | null;
+  /** RFC 3339, UTC */
+  created_at: string;
+  links: DeviceLinks;
+}
+
 export interface DeviceRequest {
   /** what jobs call it in settings.device */
   name: string;
   /** its figures where they are known; else send samples */
   profile?: DeviceProfile | null;
+}
+
+export interface EventPageReply {
+  events: EventReply[];
+  /** number of the last event here: `after` of the next page */
+  next: number;
+}
+
+export interface EventReply {
+  seq: number;
+  kind: "job" | "stage" | "shard";
+  data: Record<string, unknown>;
+  /** RFC 3339, UTC */
+  at: string;
 }
 
 export interface Fit {
@@ -92,6 +139,97 @@ export interface Fit {
   unseen_under_share: number;
 }
 
+export interface JobDeleted {
+  deleted: boolean;
+  shards: number;
+  events: number;
+  artifacts: number;
+  bytes: number;
+}
+
+export interface JobDetailReply {
+  id: string;
+  tenant: string;
+  name: string;
+  /** digest of its scene */
+  scene: string;
+  budget: string | null;
+  priority: "high" | "normal" | "low";
+  state: "queued" | "running" | "done" | "failed" | "cancelled";
+  verdict: "valid" | "infeasible" | "unproven" | null;
+  error: JobError | null;
+  /** the one that it is at */
+  stage: Stage | null;
+  /** what the placement minimises; once the job is done */
+  bytes: number | null;
+  hopeless_views: number | null;
+  smallest_budget: string | null;
+  /** share of stages that ended: for a bar, not a promise of time */
+  progress: number;
+  /** the webhook that the job named */
+  webhook: string | null;
+  /** RFC 3339, UTC */
+  created_at: string;
+  started_at: string | null;
+  finished_at: string | null;
+  links: JobLinks;
+  /** all of them: see the schema Settings */
+  settings: Record<string, unknown>;
+  last_event: number;
+  stages: StageReply[];
+}
+
+export interface JobError {
+  code: string;
+  message: string;
+  advice?: string;
+  stage?: string | null;
+}
+
+export interface JobLinks {
+  self: string;
+  events: string;
+  page: string;
+  report?: string | null;
+  report_page?: string | null;
+  placement?: string | null;
+  viewer?: string | null;
+}
+
+export interface JobPageReply {
+  jobs: JobReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface JobReply {
+  id: string;
+  tenant: string;
+  name: string;
+  /** digest of its scene */
+  scene: string;
+  budget: string | null;
+  priority: "high" | "normal" | "low";
+  state: "queued" | "running" | "done" | "failed" | "cancelled";
+  verdict: "valid" | "infeasible" | "unproven" | null;
+  error: JobError | null;
+  /** the one that it is at */
+  stage: Stage | null;
+  /** what the placement minimises; once the job is done */
+  bytes: number | null;
+  hopeless_views: number | null;
+  smallest_budget: string | null;
+  /** share of stages that ended: for a bar, not a promise of time */
+  progress: number;
+  /** the webhook that the job named */
+  webhook: string | null;
+  /** RFC 3339, UTC */
+  created_at: string;
+  started_at: string | null;
+  finished_at: string | null;
+  links: JobLinks;
+}
+
 export interface JobRequest {
   /** digest of an uploaded scene */
   scene: string;
@@ -99,6 +237,10 @@ export interface JobRequest {
   settings?: Settings;
   /** what to call it; the scene's name by default */
   name?: string | null;
+  /** before or after other jobs of the tenant */
+  priority?: "high" | "normal" | "low";
+  /** id of a webhook to tell of this job, whether it hears of all or not */
+  webhook?: string | null;
 }
 
 export interface KeyPage {
@@ -127,6 +269,12 @@ export interface KeyRequest {
   scopes: ("read" | "submit" | "admin")[];
   /** seconds until it ends; null: never */
   expires_in_s?: number | null;
+}
+
+export interface Missing {
+  code: string;
+  detail: string;
+  advice?: string;
 }
 
 export interface NewKeyReply {
@@ -166,6 +314,18 @@ export interface Opening {
   login?: string | null;
 }
 
+export interface PlacementPageReply {
+  placements: PlacementReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface PlacementReply {
+  id: string;
+  name: string;
+  verdict: "valid" | "infeasible" | "unproven" | null;
+}
+
 export interface PlacementSettings {
   candidates?: "shafts+boxes" | "shafts" | "boxes" | "cells" | "environment";
   far_m?: number;
@@ -177,6 +337,11 @@ export interface PlacementSettings {
   regions?: number;
   bound?: "auto" | "lp" | "lagrangian" | "off";
   time_limit_s?: number | null;
+}
+
+export interface Preset {
+  name: string;
+  profile: Record<string, unknown>;
 }
 
 export interface Problem {
@@ -246,6 +411,45 @@ export interface SamplesRequest {
   samples: Sample[];
 }
 
+export interface SceneDeleted {
+  deleted: boolean;
+  /** jobs that need the scene: it cannot be deleted before them */
+  jobs: number;
+  artifacts: number;
+  bytes: number;
+}
+
+export interface SceneLinks {
+  self: string;
+  objects: string;
+  picture: string | null;
+}
+
+export interface ScenePageReply {
+  scenes: SceneReply[];
+  /** cursor of the next page; null: this is the last one */
+  next: string | null;
+}
+
+export interface SceneReply {
+  digest: string;
+  tenant: string;
+  name: string;
+  bytes: number;
+  /** RFC 3339, UTC */
+  uploaded_at: string;
+  objects?: number | null;
+  triangles?: number | null;
+  materials?: number | null;
+  textures?: number | null;
+  /** lowest and highest corner, metres */
+  bounds?: unknown;
+  warnings?: unknown[] | null;
+  /** view space, cell and budgets that fit the scene */
+  suggested?: unknown;
+  links: SceneLinks;
+}
+
 export interface SceneSettings {
   unit_m?: number | null;
   up?: "y" | "z" | null;
@@ -268,7 +472,43 @@ export interface Settings {
   bake?: BakeSettings;
 }
 
+export interface ShardCounts {
+  total: number;
+  ready: number;
+  running: number;
+  done: number;
+  failed: number;
+  cancelled: number;
+}
+
+export interface ShardPageReply {
+  shards: ShardReply[];
+}
+
+export interface ShardReply {
+  kind: "plan" | "run" | "merge" | "report";
+  ordinal: number;
+  state: "ready" | "running" | "done" | "failed" | "cancelled";
+  attempt: number;
+  /** taken over from an earlier job */
+  cached: boolean;
+  seconds: number | null;
+  peak_bytes: number | null;
+  worker: string | null;
+  error: JobError | null;
+}
+
 export type Stage = "scene" | "hierarchy" | "detail" | "rendertime" | "visibility" | "viewspace" | "candidates" | "placement" | "bake" | "repair" | "bound" | "placementdb" | "evaluation" | "proof";
+
+export interface StageReply {
+  name: Stage;
+  state: "waiting" | "planning" | "running" | "merging" | "reporting" | "done" | "skipped" | "failed";
+  /** why it was skipped */
+  skipped: string | null;
+  shards: ShardCounts;
+  seconds: number | null;
+  peak_bytes: number | null;
+}
 
 export interface Target {
   /** the page to open */
@@ -361,6 +601,7 @@ export type Route =
   | "GET /v1/audit"
   | "GET /v1/devices"
   | "POST /v1/devices"
+  | "DELETE /v1/devices/{device_id}"
   | "GET /v1/devices/{device_id}"
   | "POST /v1/devices/{device_id}/samples"
   | "GET /v1/jobs"
@@ -383,6 +624,7 @@ export type Route =
   | "GET /v1/placements/{placement}/{path}"
   | "GET /v1/scenes"
   | "POST /v1/scenes"
+  | "DELETE /v1/scenes/{digest}"
   | "GET /v1/scenes/{digest}"
   | "HEAD /v1/scenes/{digest}"
   | "GET /v1/scenes/{digest}/objects"

@@ -34,9 +34,11 @@ export interface JobLinks {
 
 export interface Job {
   id: string;
+  tenant: string;
   name: string;
   scene: string;
   budget: string;
+  priority: "high" | "normal" | "low";
   state: JobState;
   verdict: Verdict | null;
   error: JobError | null;
@@ -46,6 +48,8 @@ export interface Job {
   bytes: number | null;
   hopeless_views: number | null;
   smallest_budget: string | null;
+  /** Id of the webhook that the job named. */
+  webhook: string | null;
   created_at: string;
   started_at: string | null;
   finished_at: string | null;
@@ -127,6 +131,7 @@ export interface EventPage {
 /** What `farfield inspect` says of a level, without its objects. */
 export interface Scene {
   digest: string;
+  tenant?: string;
   name: string;
   bytes: number;
   uploaded_at: string;
@@ -162,6 +167,7 @@ export interface SceneObjects {
 
 export interface Device {
   id: string;
+  tenant: string;
   name: string;
   samples: number;
   profile: DeviceProfile | null;
@@ -173,4 +179,5 @@ export interface Device {
 export interface DevicePage {
   presets: { name: string; profile: DeviceProfile }[];
   devices: Device[];
+  next: string | null;
 }
