@@ -37,6 +37,7 @@ serve: setup ## start the service: API, workers, viewer, dashboard
 
 test: setup ## run all tests
 	@sh infra/setup/system.sh chromium
+	@sh infra/setup/system.sh postgresql || echo "Without PostgreSQL: the tests that need one are skipped." >&2
 	@cd webviewer && $(NPM) test --silent
 	@$(VENV)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
@@ -48,6 +49,10 @@ check: .venv/.ready webviewer/node_modules/.ready ## format, lint, types, import
 	@$(VENV)/ruff format --check . && $(VENV)/ruff check .
 	@$(VENV)/mypy
 	@$(VENV)/lint-imports
+	@$(VENV)/check-jsonschema --quiet --builtin-schema vendor.compose-spec docker-compose.yml
+	@$(VENV)/kubernetes-validate --strict --quiet $(filter-out %/kustomization.yaml,$(wildcard infra/kubernetes/*.yaml))
+	@if docker compose version >/dev/null 2>&1; then docker compose config --quiet; fi
+	@if kubectl version --client >/dev/null 2>&1; then kubectl kustomize infra/kubernetes >/dev/null; fi
 	@cd webviewer && $(NPM) run --silent check
 
 bench: setup ## one benchmark a stage, as ratios

@@ -31,6 +31,7 @@ VERBS = (
     "gc",
     "backup",
     "restore",
+    "migrate",
 )
 DONE, FAILED, BAD_USE, BAD_INPUT, NOT_VALID = 0, 1, 2, 3, 4
 

@@ -96,6 +96,10 @@ class Artifacts(ABC):
         """Remove the checkpoints that nobody wrote for so long; return how many."""
 
     @abstractmethod
+    def make(self) -> None:
+        """Make the folder or the bucket, where there is none."""
+
+    @abstractmethod
     def check(self) -> None:
         """Raise StoreUnavailable where the store does not answer or cannot be written."""
 
@@ -201,6 +205,9 @@ class LocalArtifacts(Artifacts):
         for file in old:
             file.unlink(missing_ok=True)
         return len(old)
+
+    def make(self) -> None:
+        return  # made when it was opened
 
     def check(self) -> None:
         try:

@@ -168,6 +168,19 @@ class S3Artifacts(Artifacts):
             self.drop_checkpoint(name)
         return len(old)
 
+    def make(self) -> None:
+        region = self.client.meta.region_name
+        where = {"CreateBucketConfiguration": {"LocationConstraint": region}} if region != "us-east-1" else {}
+        with self._asking(""):
+            try:
+                self.client.create_bucket(Bucket=self.bucket, **where)
+            except botocore.exceptions.ClientError as error:
+                if error.response.get("Error", {}).get("Code") not in (
+                    "BucketAlreadyOwnedByYou",
+                    "BucketAlreadyExists",
+                ):
+                    raise
+
     def check(self) -> None:
         with self._asking(""):
             self.client.head_bucket(Bucket=self.bucket)
