@@ -497,12 +497,12 @@ def _proof_plan(inputs: Inputs) -> list[Shard]:
 
 
 def _proof(inputs: Inputs, shard: Shard) -> Parts:
-    from farfield.evaluation.proof.prove import prove
+    from farfield.evaluation.proof.prove import prove_apart
 
     first, count, each = shard
     with tempfile.TemporaryDirectory(prefix="farfield-") as folder:
         write_files(inputs.artifacts[Stage.PLACEMENTDB], Path(folder))
-        return pack_parts("proof", {}, prove(Path(folder), first, count, seed=inputs.settings.seed, each=each))
+        return pack_parts("proof", {}, prove_apart(Path(folder), first, count, seed=inputs.settings.seed, each=each))
 
 
 def _proof_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:

@@ -64,9 +64,9 @@ def plan_batches(placement: Placement) -> list[tuple[int, int]]:
 @cache
 def _gl_recorder(process: int) -> Any:
     # keyed by process: a forked child must not draw with its parent's
-    from farfield.bake.gl.record import Recorder
+    from farfield.bake.gl.record import RecorderApart
 
-    return Recorder()
+    return RecorderApart()
 
 
 def find_recorder(renderer: Renderer) -> tuple[Record, str]:

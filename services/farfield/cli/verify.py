@@ -36,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
     failed = refuted(found)
     if args.pictures:
         from farfield.evaluation.proof.merge import merge_proofs
-        from farfield.evaluation.proof.prove import prove
+        from farfield.evaluation.proof.prove import prove_apart
 
-        part = prove(args.folder, 0, args.pictures, seed=args.seed, each=0)
+        part = prove_apart(args.folder, 0, args.pictures, seed=args.seed, each=0)
         found["proof"] = merge_proofs([part], confidence=0.95)
         failed = failed or bool(found["proof"]["failed"])
     if args.json:

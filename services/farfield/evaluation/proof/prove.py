@@ -17,11 +17,13 @@ Errs     A pair in which nothing of the impostor is in the picture proves nothin
 import base64
 import io
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from farfield.bake.gl.apart import ContextLost, child
 from farfield.bake.gl.context import NoContext
 from farfield.evaluation.proof.draw import Drawer, Window
 from farfield.evaluation.proof.judge import Moved, Tracer, difference, displacement, inside, shrunk
@@ -56,6 +58,24 @@ def prove(folder: Path, first: int, count: int, *, seed: int, each: int) -> dict
             "not_proven": str(error),
         }
     return prover.prove(first, count, seed=seed, each=each)
+
+
+def prove_apart(folder: Path, first: int, count: int, *, seed: int, each: int) -> dict[str, Any]:
+    """As `prove`, in a process of its own: twice, if a driver takes the first one with it. Raises ContextLost."""
+    call = partial(child().call, "farfield.evaluation.proof.prove:prove_pairs", str(folder), first, count, seed, each)
+    try:
+        try:
+            found = call()
+        except ContextLost:
+            found = call()
+        return dict(found)
+    finally:
+        child().end()  # its textures
+
+
+def prove_pairs(folder: str, first: int, count: int, seed: int, each: int) -> dict[str, Any]:
+    """As `prove`, with arguments that travel."""
+    return prove(Path(folder), first, count, seed=seed, each=each)
 
 
 class Prover:
