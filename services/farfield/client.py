@@ -7,15 +7,14 @@
             print(kind, data)
         service.fetch(job["id"], Path("placed"))
 
-Requests are sent again where the connection fails, but for the upload of a scene: what comes twice is done once. Events are
-followed with Last-Event-ID: a service that restarts in between loses none. Refusals are raised as `Refused`, with the
-service's own code and advice.
+Requests are sent again where the connection fails: what comes twice is done once, and an upload goes on where it stopped
+(`sending.py`). Events are followed with Last-Event-ID: a service that restarts in between loses none. Refusals are raised as
+`Refused`, with the service's own code and advice.
 """
 
 import hashlib
 import json
 import time
-import urllib.parse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -24,8 +23,8 @@ from typing import Any
 import httpx
 
 from farfield.errors import ColumnsAltered, FarfieldError, ServiceError
+from farfield.sending import send_file
 
-CHUNK_BYTES = 1 << 20
 TRIES = 5
 PAGE = 100  # jobs a request
 ENDED = ("done", "failed", "cancelled")
@@ -78,26 +77,16 @@ class Client:
         return answer.is_success
 
     def send_scene(self, path: Path, *, digest: str | None = None, sent: Sent = int) -> dict[str, Any]:
-        """Send the file at `path` where it is unknown, and return what the service says of it (`digest`, `warnings`)."""
+        """Send the file at `path` where it is unknown, and return what the service says of it (`digest`, `warnings`).
+
+        What was sent before a lost connection, or by a process that was killed, is not sent again.
+        sent  told the bytes of each piece that went or was there; negative where the service has lost some
+        """
         digest = digest or file_digest(path)
         if self.knows_scene(digest):
             return self.scene(digest)
-        headers = {
-            "content-disposition": f"attachment; filename*=UTF-8''{urllib.parse.quote(path.name)}",
-            "content-type": "application/octet-stream", "content-length": str(path.stat().st_size),
-        }  # fmt: skip
-
-        def content() -> Iterator[bytes]:
-            with path.open("rb") as file:
-                while chunk := file.read(CHUNK_BYTES):
-                    yield chunk
-                    sent(len(chunk))
-
-        try:
-            answer = self._http.post("/v1/scenes", content=content(), headers=headers)
-        except httpx.TransportError as error:
-            raise self._silent(error) from error
-        return self._read(answer)
+        send_file(_Sender(self), path, digest=digest, sent=sent)
+        return self.scene(digest)
 
     def scene(self, digest: str) -> dict[str, Any]:
         """Return what the service says of a scene."""
@@ -270,6 +259,14 @@ class Client:
 
     def _silent(self, error: httpx.TransportError) -> ServiceError:
         return ServiceError(f"{self.url} does not answer: {error}")
+
+
+class _Sender:
+    """What `sending` may do with a client."""
+
+    def __init__(self, client: Client) -> None:
+        self.request, self.read, self.refuse = client._request, client._read, Refused
+        self.once = client._http.request
 
 
 def file_digest(path: Path) -> str:

@@ -47,7 +47,7 @@ def test_all_pages_of_jobs_are_read(client, toy, monkeypatch):
     assert [job["id"] for job in client.jobs(state="cancelled")] == made[:1]
     assert [client.retry(made[0])["state"] for _ in range(2)] == ["queued", "queued"]
     with pytest.raises(Refused) as refused:
-        client.retry("none")
+        client.retry("0" * 32)
     assert refused.value.code == "JobNotFound"
 
 
@@ -124,3 +124,62 @@ def test_a_service_that_is_not_there_is_named(monkeypatch):
     http = httpx.Client(transport=httpx.MockTransport(refuse), base_url="http://127.0.0.1")
     with pytest.raises(ServiceError, match="does not answer"):
         Client("http://127.0.0.1", "key", http=http).job("any")
+
+
+class Cut:
+    """A client whose line breaks, and whose service forgets, as the test says."""
+
+    def __init__(self, client, cuts):
+        self.client, self.cuts, self.patches = client, list(cuts), []
+
+    def request(self, method, path, **more):
+        if method == "PATCH":
+            at, content = int(more["headers"]["upload-offset"]), b"".join(more.pop("content"))
+            self.patches.append((at, len(content)))
+            kept = self.cuts.pop(0) if self.cuts else len(content)
+            if kept == "gone":
+                self.client.delete(path, headers={"tus-resumable": "1.0.0"})
+                raise httpx.WriteError("cut")
+            more["headers"]["content-length"] = str(len(content[:kept]))
+            answer = self.client.request(method, path, content=content[:kept], **more)
+            if kept < len(content):
+                raise httpx.WriteError("cut")
+            return answer
+        return self.client.request(method, path, **more)
+
+    def __getattr__(self, name):
+        return getattr(self.client, name)
+
+
+def test_an_upload_goes_on_where_the_line_broke(service, tmp_path, monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda s: None)
+    monkeypatch.setattr("farfield.sending.PIECE_BYTES", 40_000)
+    path, sent = tmp_path / "level.glb", []
+    path.write_text(json.dumps({"padding": "x" * 90_000}))
+    cut = Cut(service.client, cuts=[30_000, 0, 40_000, "gone"])
+    told = Client("http://127.0.0.1", service.key, http=cut).send_scene(path, sent=sent.append)
+    n = path.stat().st_size
+    assert (told["digest"], told["bytes"], sum(sent)) == (file_digest(path), n, n)
+    starts = [at for at, _ in cut.patches]
+    assert starts == [0, 30_000, 30_000, 70_000, 0, 40_000, 80_000]
+    assert min(sent) == -n  # the service forgot: told, too
+
+
+def test_an_upload_that_a_killed_client_began_is_found_by_its_digest(service, tmp_path):
+    path, sent = tmp_path / "level.glb", []
+    path.write_text(json.dumps({"padding": "y" * 50_000}))
+    data = path.read_bytes()
+    from farfield.sending import _started
+
+    client = Client("http://127.0.0.1", service.key, http=service.client)
+    from farfield.client import _Sender
+
+    where = _started(_Sender(client), path.name, file_digest(path), len(data))
+    head = {"tus-resumable": "1.0.0", "content-type": "application/offset+octet-stream", "upload-offset": "0"}
+    assert service.client.patch(where, content=data[:20_000], headers=head).status_code == 204
+    assert client.send_scene(path, sent=sent.append)["digest"] == file_digest(path)
+    assert sent == [20_000, len(data) - 20_000]
+    refused = tmp_path / "bad.glb"
+    refused.write_text("no json")
+    with pytest.raises(Refused, match=r"bad\.glb is not a scene"):
+        client.send_scene(refused)

@@ -1,7 +1,7 @@
 """`farfield submit SCENE --url URL`: send a level to a service, start a job, and follow it to its verdict.
 
-The scene is sent only where its digest is unknown, and the job created under one idempotency key: a request that is
-sent again after a lost answer starts no second job.
+The scene is sent only where its digest is unknown, from where an earlier call was stopped, and the job created under one
+idempotency key: a request that is sent again after a lost answer starts no second job.
 """
 
 import argparse
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn, TransferSpeedColumn
 
 from farfield.cli.connect import DONE, NOT_VALID, add_service, call
 from farfield.cli.place import load_settings
@@ -83,10 +83,22 @@ def _send_scene(service: Client, path: Path, console: Console) -> str:
     if service.knows_scene(digest):
         console.print("the service knows this scene", highlight=False)
         return digest
-    columns = (TextColumn("{task.description:12}"), BarColumn(), DownloadColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description:12}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeElapsedColumn(),
+    )
+    total = path.stat().st_size
     with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        bar = bars.add_task("upload", total=path.stat().st_size)
-        found = service.send_scene(path, digest=digest, sent=lambda n: bars.advance(bar, n))
+        bar = bars.add_task("upload", total=total)
+
+        def sent(n_bytes: int) -> None:
+            bars.advance(bar, n_bytes)
+            bars.update(bar, description="reading" if bars.tasks[0].completed >= total else "upload")
+
+        found = service.send_scene(path, digest=digest, sent=sent)
     for warning in found.get("warnings") or ():
         console.print(f"warning: {warning}", highlight=False, markup=False)
     return str(found["digest"])
