@@ -12,9 +12,19 @@ settings.load_profile("farfield")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--accept", action="store_true", help="also place the whole demo city and check its figures")
-    parser.addoption("--chaos", action="store_true", help="disturb the service in 50 runs (tests/chaos)")
+    parser.addoption(
+        "--chaos",
+        type=int,
+        nargs="?",
+        const=25,
+        default=1,
+        metavar="RUNS",
+        help="disturb the service so often (tests/chaos)",
+    )
+    parser.addoption("--chaos-first", type=int, default=0, metavar="SEED", help="... from this seed on")
     parser.addoption("--bench", action="store_true", help="run the benchmarks (tests/benchmarks)")
     parser.addoption("--bench-large", action="store_true", help="... and those that take minutes each")
+    parser.addoption("--hostile", action="store_true", help="also read hundreds of broken levels of every format")
     parser.addoption("--bench-save", action="store_true", help="keep their rows in tests/benchmarks/results")
 
 

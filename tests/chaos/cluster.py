@@ -70,7 +70,11 @@ class Cluster:
 
     def _child(self, name: str, command: list[str], *, worker: bool = False) -> Child:
         def environment() -> dict[str, str]:
-            return {**self.environment, "FARFIELD_WORKER": f"{name}:{secrets.token_hex(4)}"} if worker else self.environment
+            return (
+                {**self.environment, "FARFIELD_WORKER": f"{name}:{secrets.token_hex(4)}"}
+                if worker
+                else self.environment
+            )
 
         def died(given: dict[str, str]) -> None:
             progress.release_worker(self.engine, given["FARFIELD_WORKER"])
@@ -108,6 +112,14 @@ class Cluster:
                 pass
             assert time.monotonic() < end, f"{method} {path} was not answered"
             time.sleep(0.1)
+
+    def story(self, lines: int = 40) -> str:
+        """Return the ends of all logs, for a run that failed."""
+        told = []
+        for name, child in self.children.items():
+            text = child.log.read_text(errors="replace").splitlines()[-lines:] if child.log.exists() else []
+            told.append("\n".join([f"--- {name} ({'runs' if self.pid(name) else 'is dead'})", *text]))
+        return "\n".join(told)
 
     def stop(self) -> None:
         self._ended.set()

@@ -140,7 +140,8 @@ def drop_database(cluster: Cluster, rng: random.Random) -> None:
     """End every connection to the database; SQLite, which has none, is locked for a while instead."""
     if cluster.engine.dialect.name == "postgresql":
         with cluster.engine.connect() as connection:
-            ended = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid() AND datname = current_database()"
+            others = "pid <> pg_backend_pid() AND datname = current_database()"
+            ended = f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
             connection.execute(sa.text(ended))
         return
     with write(cluster.engine):

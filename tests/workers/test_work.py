@@ -260,8 +260,8 @@ def test_deleting_a_job_keeps_what_others_need(in_process):
     assert none == []
     done, digests = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=False, remove=bool)
     assert done == said
-    # Its report, its files and their evaluation, and the plan of neither: those bytes are the first job's, too.
-    assert len(digests) == said["artifacts"] == 3
+    # Its report, its files, their proof and evaluation, and the plan of neither: those bytes are the first job's, too.
+    assert len(digests) == said["artifacts"] == 4
     kept = {s["artifact"] for s in in_process.stages(first).values()}
     assert not kept & set(digests)
 

@@ -7,7 +7,8 @@ a slot. A message may come twice, late or never; the tables decide, and the reco
 import functools
 import logging
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import sqlalchemy as sa
@@ -112,12 +113,14 @@ def run_shard(shard_id: str = "") -> None:
     """
     queue = (run_shard.request.delivery_info or {}).get("routing_key") or str(Queue.CPU)
     end = time.monotonic() + TURN_S
-    wake([queue])  # who else could work on it
-    while (messages := work_next(engine(), artifacts(), pipeline(), settings(), queue)) is not None:
-        wake({message.queue for message in messages})
+    claimed: Callable[[], object] = partial(wake, [queue])  # who else could work on it
+    while (messages := work_next(engine(), artifacts(), pipeline(), settings(), queue, claimed=claimed)) is not None:
+        claimed = bool
+        ours = [message for message in messages if message.queue == queue]  # we take one of them ourselves
+        wake({message.queue for message in messages if message.queue != queue or len(ours) > 1})
         if time.monotonic() > end:
-            break
-    wake([queue])
+            wake([queue])
+            return
 
 
 def wake(queues: Iterable[str]) -> int:

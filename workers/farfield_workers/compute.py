@@ -5,6 +5,7 @@ and prints the outcome as JSON: a crash or an endless loop in a decoder costs th
 """
 
 import contextlib
+import functools
 import hashlib
 import json
 import os
@@ -22,7 +23,7 @@ import farfield.errors
 from farfield.errors import FailedElsewhere, FarfieldError, StageFailed
 from farfield.executor import StageRun, map_file, peak_bytes, reset_peak
 from farfield.pipeline import Inputs
-from farfield.settings import from_mapping
+from farfield.settings import Settings, from_mapping
 from farfield.stages import Stage
 
 from farfield_workers.children import die_with_parent
@@ -52,12 +53,22 @@ class Result:
     peak_bytes: int
 
 
+def settings_of(given: Mapping[str, Any]) -> Settings:
+    """Return the checked settings: those of one job are asked for by each of its shards."""
+    return _settings_of(json.dumps(given, sort_keys=True))
+
+
+@functools.lru_cache(maxsize=64)
+def _settings_of(text: str) -> Settings:
+    return from_mapping(json.loads(text))
+
+
 def inputs_of(call: Call) -> Inputs:
     """Return what the stage sees."""
     artifacts = {Stage(s): map_file(Path(path)) for s, path in call.artifacts.items()}
     digests = {Stage(s): digest for s, digest in call.digests.items()}
     checkpoint = Path(call.checkpoint) if call.checkpoint is not None else None
-    return Inputs(from_mapping(call.settings), artifacts, digests, Path(call.scene_file), checkpoint)
+    return Inputs(settings_of(call.settings), artifacts, digests, Path(call.scene_file), checkpoint)
 
 
 def compute(pipeline: Pipeline, call: Call, out: Path) -> Result:

@@ -4,10 +4,12 @@ Safe to run twice, at once, and to be killed at any point: the result is a blob 
 attempt to be still ours, and moving on is a compare-and-set that anyone may repeat.
 """
 
+import functools
 import logging
 import os
 import time
 import traceback
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from errno import EDQUOT, ENOSPC
@@ -18,7 +20,6 @@ import sqlalchemy as sa
 from farfield import memory
 from farfield.errors import FarfieldError, OverMemory, StageFailed, StoreUnavailable
 from farfield.pipeline import Inputs, shard_key
-from farfield.settings import from_mapping
 from farfield.stages import Stage
 from farfield.store import progress, shards
 from farfield.store.artifacts import Artifacts
@@ -27,7 +28,7 @@ from farfield.store.progress import Message
 from farfield.store.shards import Claim
 
 from farfield_workers import telemetry
-from farfield_workers.compute import Call, Result, compute, compute_isolated
+from farfield_workers.compute import Call, Result, compute, compute_isolated, settings_of
 from farfield_workers.lease import HandedOver, ShardStopped, leased, patiently
 from farfield_workers.restore import Restorer
 from farfield_workers.settings import WorkerSettings
@@ -37,14 +38,18 @@ log = logging.getLogger(__name__)
 
 
 def work_next(
-    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, queue: str
-) -> list[Message] | None:
-    """Run the shard of the queue whose turn it is and return the messages to send; None where there is none."""
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, queue: str, *,
+    claimed: Callable[[], object] = bool,
+) -> list[Message] | None:  # fmt: skip
+    """Run the shard of the queue whose turn it is and return the messages to send; None where there is none.
+
+    claimed  called once we have one, before it is computed
+    """
     found = patiently(lambda: next_shard(engine, queue, here(settings)))
     if found is None:
         return None
     if not found.too_large:
-        return work(engine, artifacts, pipeline, settings, found.shard_id)
+        return work(engine, artifacts, pipeline, settings, found.shard_id, claimed=claimed)
     refusal = OverMemory(found.need_bytes, settings.memory_bytes or 0)
     error = {"code": refusal.code, "message": str(refusal), "advice": refusal.advice}
     job_id = patiently(lambda: shards.refuse(engine, found.shard_id, error))
@@ -55,13 +60,19 @@ def here(settings: WorkerSettings) -> Host:
     """Return the host of this worker, and what it has free."""
     if settings.memory_bytes is None:
         return Host(name=settings.host)
-    free = memory.free_bytes() + memory.resident_bytes()
-    return Host(name=settings.host, memory_bytes=settings.memory_bytes, free_bytes=free)
+    return Host(name=settings.host, memory_bytes=settings.memory_bytes, free_bytes=_free(int(time.monotonic())))
+
+
+@functools.lru_cache(maxsize=1)
+def _free(second: int) -> int:
+    """Return what the system has free, asked once a second."""
+    return memory.free_bytes() + memory.resident_bytes()
 
 
 def work(
-    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, shard_id: str
-) -> list[Message]:
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, shard_id: str, *,
+    claimed: Callable[[], object] = bool,
+) -> list[Message]:  # fmt: skip
     """Run the shard if it is to be run, and return the messages to send."""
     host = Host(name=settings.host, memory_bytes=settings.memory_bytes)
     held = patiently(
@@ -69,6 +80,7 @@ def work(
     )
     if held is None:
         return []
+    claimed()
     with telemetry.here.shard(held):
         try:
             if _run(engine, artifacts, pipeline, settings, held) == "more":
@@ -160,7 +172,7 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
 
 
 def _timed(pipeline: Pipeline, held: Claim) -> bool:
-    return held.kind in ("run", "merge") and pipeline.steps[Stage(held.stage)].timed(from_mapping(held.settings))
+    return held.kind in ("run", "merge") and pipeline.steps[Stage(held.stage)].timed(settings_of(held.settings))
 
 
 def _compute(pipeline: Pipeline, settings: WorkerSettings, call: Call, out: Path) -> Result:
@@ -196,7 +208,7 @@ def _key(pipeline: Pipeline, held: Claim) -> str | None:
     if held.kind == "report":
         return None  # it holds timings: never taken over
     shard = held.params if held.kind == "run" else held.kind
-    inputs = Inputs(from_mapping(held.settings), {}, {Stage(s): digest for s, digest in _digests(held).items()})
+    inputs = Inputs(settings_of(held.settings), {}, {Stage(s): digest for s, digest in _digests(held).items()})
     return f"{held.kind}:{shard_key(pipeline.steps[Stage(held.stage)], inputs, shard)}"
 
 

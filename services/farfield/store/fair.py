@@ -22,6 +22,7 @@ from farfield.store.engine import now, read
 from farfield.store.tables import job, shard, tenant
 
 PATIENCE_S = 60.0
+LONGEST_S = 120.0  # more than any shard is put off by
 LOOKS = 8  # shards that do not fit, before a worker gives up for now
 
 
@@ -46,10 +47,7 @@ class Next:
 def next_shard(engine: sa.Engine, queue: str, host: Host) -> Next | None:
     """Return the shard of this queue that the host should run now, or None where there is none (that fits)."""
     with read(engine) as tx:
-        running = tx.execute(
-            sa.select(shard.c.tenant_id, shard.c.job_id, shard.c.host, shard.c.need_bytes)
-            .where(shard.c.state == "running")
-        ).all()  # fmt: skip
+        running = tx.execute(_RUNNING).all()
         tenants, jobs = Counter(r.tenant_id for r in running), Counter(r.job_id for r in running)
         held = sum(r.need_bytes for r in running if r.host == host.name)
         passed: list[str] = []
@@ -58,12 +56,11 @@ def next_shard(engine: sa.Engine, queue: str, host: Host) -> Next | None:
                 found = _of_tenant(tx, tenant_id, queue, jobs, passed)
                 if found is None:
                     break
-                waited_s = float(tx.scalar(sa.select(now())) or 0.0) - (found.ready_at or 0.0)
                 if host.memory_bytes is not None and found.need_bytes > host.memory_bytes:
                     return Next(found.id, found.need_bytes, too_large=True)
-                if fits(host, found.need_bytes, held=held, waited_s=waited_s):
+                if fits(host, found.need_bytes, held=held, waited_s=found.waited_s or 0.0):
                     return Next(found.id, found.need_bytes)
-                if waited_s > PATIENCE_S and not jobs[found.job_id]:
+                if (found.waited_s or 0.0) > PATIENCE_S and not jobs[found.job_id]:
                     return None
                 passed.append(found.job_id)
     return None
@@ -82,35 +79,43 @@ def fits(host: Host, need_bytes: int, *, held: int, waited_s: float = 0.0) -> bo
 
 def _tenants(tx: sa.Connection, running: "Counter[str]") -> list[str]:
     """Return the tenants with open jobs, in the order in which they are to be served."""
-    open_ = sa.select(job.c.id).where(job.c.tenant_id == tenant.c.id, job.c.finished_at.is_(None)).exists()
-    rows = tx.execute(sa.select(tenant.c.id, tenant.c.turn).where(open_)).all()
-    return [r.id for r in sorted(rows, key=lambda r: (running[r.id], r.turn, r.id))]
+    return [r.id for r in sorted(tx.execute(_TENANTS).all(), key=lambda r: (running[r.id], r.turn, r.id))]
 
 
 def _of_tenant(tx: sa.Connection, tenant_id: str, queue: str, running: "Counter[str]", passed: list[str]) -> Any:
-    """Return (id, need_bytes, ready_at, job_id) of the shard whose turn it is, or None."""
-    ready = (shard.c.job_id == job.c.id) & (shard.c.state == "ready") & (shard.c.queue == queue) & _due()
+    """Return (id, need_bytes, waited_s, job_id) of the shard whose turn it is, or None."""
     busy = [j for j in running if j not in passed]
-    order = (job.c.priority, job.c.turn, job.c.id)
-    jobs = (
-        sa.select(job.c.id, *order[:2])
-        .where(job.c.tenant_id == tenant_id, job.c.finished_at.is_(None), sa.select(shard.c.id).where(ready).exists())
-        .order_by(*order)
+    of = {"tenant": tenant_id, "queue": queue}
+    found = list(tx.execute(_IDLE, {**of, "others": [*busy, *passed]}).all())
+    if busy:
+        found += tx.execute(_BUSY, {**of, "busy": busy}).all()
+    best = min(found, key=lambda r: (r.priority, running[r.id], r.turn, r.id), default=None)
+    return tx.execute(_FIRST, {"job": best.id, "queue": queue}).one_or_none() if best is not None else None
+
+
+# Statements are made once: to make one takes four times as long as to run it.
+_RUNNING = sa.select(shard.c.tenant_id, shard.c.job_id, shard.c.host, shard.c.need_bytes).where(
+    shard.c.state == "running"
+)
+_TENANTS = sa.select(tenant.c.id, tenant.c.turn).where(
+    sa.select(job.c.id).where(job.c.tenant_id == tenant.c.id, job.c.finished_at.is_(None)).exists()
+)
+# A shard that was put off waits; not for longer than it was told to, even where the clock has jumped back.
+_READY = (
+    (shard.c.state == "ready") & (shard.c.queue == sa.bindparam("queue"))
+    & (shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()) | (shard.c.ready_at > now() + LONGEST_S))
+)  # fmt: skip
+_JOBS = (
+    sa.select(job.c.id, job.c.priority, job.c.turn)
+    .where(
+        job.c.tenant_id == sa.bindparam("tenant"), job.c.finished_at.is_(None),
+        sa.select(shard.c.id).where(shard.c.job_id == job.c.id, _READY).exists(),
     )
-    idle = tx.execute(jobs.where(job.c.id.not_in([*busy, *passed])).limit(1)).all()
-    others = tx.execute(jobs.where(job.c.id.in_(busy))).all() if busy else []
-    best = min([*idle, *others], key=lambda r: (r.priority, running[r.id], r.turn, r.id), default=None)
-    if best is None:
-        return None
-    first = sa.select(shard.c.id, shard.c.need_bytes, shard.c.ready_at, shard.c.job_id).where(
-        shard.c.job_id == best.id, shard.c.state == "ready", shard.c.queue == queue, _due()
-    )
-    return tx.execute(first.order_by(shard.c.ordinal).limit(1)).one_or_none()
-
-
-def _due() -> sa.ColumnElement[bool]:
-    """A shard that was put off waits; not for longer than it was told to, even where the clock has jumped back."""
-    return shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()) | (shard.c.ready_at > now() + LONGEST_S)
-
-
-LONGEST_S = 120.0  # more than any shard is put off by
+    .order_by(job.c.priority, job.c.turn, job.c.id)
+)  # fmt: skip
+_IDLE = _JOBS.where(job.c.id.not_in(sa.bindparam("others", expanding=True))).limit(1)
+_BUSY = _JOBS.where(job.c.id.in_(sa.bindparam("busy", expanding=True)))
+_FIRST = (
+    sa.select(shard.c.id, shard.c.need_bytes, (now() - shard.c.ready_at).label("waited_s"), shard.c.job_id)
+    .where(shard.c.job_id == sa.bindparam("job"), _READY).order_by(shard.c.ordinal).limit(1)
+)  # fmt: skip

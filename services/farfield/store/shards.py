@@ -58,24 +58,11 @@ def claim(
 ) -> Claim | None:
     """Take the shard, or return None where there is nothing (more) to do, or it does not fit on the host now."""
     with write(engine) as tx:
-        at = tx.execute(
-            sa.select(
-                job.c.id, job.c.state, job.c.settings, job.c.scene_digest, scene.c.suffix, shard.c.need_bytes,
-                shard.c.stage_id, stage.c.name, stage.c.n_shards,
-            )
-            .join(stage, stage.c.id == shard.c.stage_id).join(job, job.c.id == shard.c.job_id)
-            .join(scene, (scene.c.tenant_id == job.c.tenant_id) & (scene.c.digest == job.c.scene_digest))
-            .where(shard.c.id == shard_id).with_for_update(of=job)
-        ).one_or_none()  # fmt: skip
+        at = tx.execute(_OF_SHARD, {"of_shard": shard_id}).one_or_none()
         if at is None or at.state not in ("queued", "running") or not _room(tx, host, at.need_bytes):
             return None
-        row = tx.execute(
-            sa.update(shard)
-            .where(shard.c.id == shard_id, _claimable(lease_s), shard.c.attempt < MAX_ATTEMPTS)
-            .values(state="running", attempt=shard.c.attempt + 1, lease_until=now() + lease_s, worker=worker,
-                    host=host.name if host is not None else None)
-            .returning(shard.c.tenant_id, shard.c.kind, shard.c.ordinal, shard.c.queue, shard.c.params, shard.c.attempt)
-        ).one_or_none()  # fmt: skip
+        taken = {"of_shard": shard_id, "lease": lease_s, "new_worker": worker, "new_host": host.name if host else None}
+        row = tx.execute(_TAKE, {**taken, "impossible": _impossible(lease_s)}).one_or_none()
         if row is None:
             return None
         fence = None
@@ -90,7 +77,7 @@ def claim(
         if _told_singly(row.kind, at.n_shards):
             fact = {"stage": at.name, "kind": row.kind, "ordinal": row.ordinal, "state": "running"}
             events.append(tx, at.id, "shard", {**fact, "attempt": row.attempt})
-        stages = tx.execute(sa.select(stage).where(stage.c.job_id == at.id).order_by(stage.c.ordinal)).all()
+        stages = tx.execute(_STAGES, {"job": at.id}).all()
         pieces: list[str] = []
         if row.kind == "merge":
             pieces = list(tx.scalars(
@@ -134,10 +121,7 @@ def renew(engine: sa.Engine, held: Claim, *, lease_s: float = LEASE_S) -> bool:
     """Prolong the lease. False: the shard is no longer ours (cancelled, or taken over), stop working on it."""
     with write(engine) as tx:
         lock_job(tx, held.job_id)
-        alive = sa.select(job.c.id).where(job.c.id == held.job_id, job.c.state == "running")
-        updated = tx.execute(
-            sa.update(shard).where(_ours(held), alive.exists()).values(lease_until=now() + lease_s)
-        ).rowcount
+        updated = tx.execute(_RENEW, {**_ours(held), "job": held.job_id, "lease": lease_s}).rowcount
         if updated and held.fence is not None:
             tx.execute(
                 sa.update(job).where(job.c.id == held.job_id, job.c.optimizer_token == held.fence)
@@ -149,11 +133,7 @@ def renew(engine: sa.Engine, held: Claim, *, lease_s: float = LEASE_S) -> bool:
 def known_result(engine: sa.Engine, key: str) -> Any:
     """Return (artifact_digest, seconds, peak_bytes) of a shard of any job with this key that is done, or None."""
     with read(engine) as tx:
-        return tx.execute(
-            sa.select(shard.c.artifact_digest, shard.c.seconds, shard.c.peak_bytes)
-            .where(shard.c.key == key, shard.c.state == "done", shard.c.artifact_digest.is_not(None))
-            .limit(1)
-        ).one_or_none()
+        return tx.execute(_KNOWN, {"key": key}).one_or_none()
 
 
 def commit(
@@ -166,29 +146,19 @@ def commit(
     `check` is called in the transaction, once nobody can delete the artifact any more: it raises where it is gone.
     """
     with write(engine) as tx:
-        locked = sa.select(job.c.state, job.c.optimizer_token).where(job.c.id == held.job_id).with_for_update()
-        at = tx.execute(locked).one_or_none()
+        at = tx.execute(_LOCKED, {"job": held.job_id}).one_or_none()
         if at is None or at.state != "running" or (held.fence is not None and at.optimizer_token != held.fence):
             return "lost"
         put_artifact(tx, digest, n_bytes)
         check()
-        updated = tx.execute(
-            sa.update(shard).where(_ours(held)).values(
-                state="done", artifact_digest=digest, key=key, seconds=seconds, peak_bytes=peak_bytes, cached=cached,
-                lease_until=None, error=None, log=None,
-            )
-        ).rowcount  # fmt: skip
+        facts = {"new_digest": digest, "new_key": key, "took": seconds, "peak": peak_bytes, "was_cached": cached}
+        updated = tx.execute(_COMMIT, {**_ours(held), **facts}).rowcount
         if not updated:
             return "lost"
         if held.fence is not None:
             _release_optimizer(tx, held)
-        mine = sa.literal(peak_bytes, sa.BigInteger)
-        peak = sa.func.coalesce(stage.c.peak_bytes, 0)
-        counted = tx.execute(
-            sa.update(stage).where(stage.c.id == held.stage_id)
-            .values(n_done=stage.c.n_done + int(held.kind == "run"), peak_bytes=sa.case((peak > mine, peak), else_=mine))
-            .returning(stage.c.n_done, stage.c.n_shards)
-        ).one()  # fmt: skip
+        more = {"stage": held.stage_id, "one": int(held.kind == "run"), "peak": peak_bytes}
+        counted = tx.execute(_COUNT, more).one()
         if _told_singly(held.kind, held.n_shards):
             fact = {"stage": held.stage, "kind": held.kind, "ordinal": held.ordinal, "state": "done"}
             events.append(tx, held.job_id, "shard", {**fact, "seconds": round(seconds, 3), "cached": cached})
@@ -222,10 +192,10 @@ def _back(engine: sa.Engine, held: Claim, *, state: str, error: Mapping[str, str
     with write(engine) as tx:
         lock_job(tx, held.job_id)
         updated = tx.execute(
-            sa.update(shard).where(_ours(held)).values(
+            sa.update(shard).where(_OURS).values(
                 **{"state": state, "lease_until": None, "ready_at": now(), "error": dict(error), "log": log[-20_000:],
                    **values}
-            )
+            ), _ours(held)
         ).rowcount  # fmt: skip
         if not updated:
             return "lost"
@@ -262,10 +232,7 @@ def lock_job(tx: sa.Connection, job_id: str | None) -> None:
 
 def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
     """Make sure that the blob has its row, and hold the row: who would collect it waits until we have committed."""
-    insert = sqlite.insert if tx.dialect.name == "sqlite" else postgresql.insert
-    values = {"digest": digest, "n_bytes": n_bytes, "created_at": now()}
-    kept = {"marked_at": None}
-    tx.execute(insert(artifact).values(values).on_conflict_do_update(index_elements=[artifact.c.digest], set_=kept))
+    tx.execute(_PUT[tx.dialect.name], {"new_digest": digest, "new_bytes": n_bytes})
 
 
 def lapsed(lease_s: float = LEASE_S) -> sa.ColumnElement[bool]:
@@ -273,13 +240,16 @@ def lapsed(lease_s: float = LEASE_S) -> sa.ColumnElement[bool]:
 
     A lease that this takes for lapsed too early costs work that is done twice, never a result: the attempt is the fence.
     """
-    return (shard.c.state == "running") & (
-        (shard.c.lease_until < now()) | (shard.c.lease_until > now() + max(2 * lease_s, LEASE_S))
-    )
+    return _lapsed(_impossible(lease_s))
 
 
-def _claimable(lease_s: float) -> sa.ColumnElement[bool]:
-    return (shard.c.state == "ready") | lapsed(lease_s)
+def _impossible(lease_s: float) -> float:
+    return max(2 * lease_s, LEASE_S)
+
+
+def _lapsed(impossible: Any) -> sa.ColumnElement[bool]:
+    ended = (shard.c.lease_until < now()) | (shard.c.lease_until > now() + impossible)
+    return (shard.c.state == "running") & ended
 
 
 def _room(tx: sa.Connection, host: Host | None, need_bytes: int) -> bool:
@@ -295,19 +265,19 @@ def _room(tx: sa.Connection, host: Host | None, need_bytes: int) -> bool:
 
 def _serve(tx: sa.Connection, tenant_id: str, job_id: str, *, started: bool) -> None:
     """Note whose turn it was."""
-    others = tenant.alias()
-    turn = sa.select(sa.func.max(others.c.turn) + 1).scalar_subquery()
-    served = tx.scalar(sa.update(tenant).where(tenant.c.id == tenant_id).values(turn=turn).returning(tenant.c.turn))
-    values: dict[str, Any] = {"turn": served, **({"state": "running", "started_at": now()} if started else {})}
-    tx.execute(sa.update(job).where(job.c.id == job_id).values(**values))
+    served = tx.scalar(_SERVE_TENANT, {"tenant": tenant_id})
+    tx.execute(_SERVE_JOB, {"job": job_id, "served": served})
+    if started:
+        tx.execute(sa.update(job).where(job.c.id == job_id).values(state="running", started_at=now()))
 
 
 def _told_singly(kind: str, n_shards: int) -> bool:
     return kind != "run" or n_shards <= EVENT_SHARDS
 
 
-def _ours(held: Claim) -> sa.ColumnElement[bool]:
-    return (shard.c.id == held.shard_id) & (shard.c.attempt == held.attempt) & (shard.c.state == "running")
+def _ours(held: Claim) -> dict[str, Any]:
+    """Return the parameters of _OURS."""
+    return {"of_shard": held.shard_id, "held_attempt": held.attempt}
 
 
 def _take_optimizer(tx: sa.Connection, job_id: str, shard_id: str, lease_s: float) -> int | None:
@@ -339,3 +309,67 @@ def _outcome(tx: sa.Connection, row: sa.Row[Any]) -> dict[str, Any]:
         "peak_bytes": peak or 0,
         "seconds": round(ended - row.started_at, 3) if row.started_at is not None else 0.0,
     }  # fmt: skip
+
+
+# Statements of every claim and commit are made once: to make one takes four times as long as to run it.
+def _put(insert: Any) -> Any:
+    values = {"digest": sa.bindparam("new_digest"), "n_bytes": sa.bindparam("new_bytes"), "created_at": now()}
+    statement = insert(artifact).values(values)
+    return statement.on_conflict_do_update(index_elements=[artifact.c.digest], set_={"marked_at": None})
+
+
+_PUT = {"sqlite": _put(sqlite.insert), "postgresql": _put(postgresql.insert)}
+_OURS = (
+    (shard.c.id == sa.bindparam("of_shard")) & (shard.c.attempt == sa.bindparam("held_attempt"))
+    & (shard.c.state == "running")
+)  # fmt: skip
+_OF_SHARD = (
+    sa.select(
+        job.c.id, job.c.state, job.c.settings, job.c.scene_digest, scene.c.suffix, shard.c.need_bytes, shard.c.stage_id,
+        stage.c.name, stage.c.n_shards,
+    )
+    .join(stage, stage.c.id == shard.c.stage_id).join(job, job.c.id == shard.c.job_id)
+    .join(scene, (scene.c.tenant_id == job.c.tenant_id) & (scene.c.digest == job.c.scene_digest))
+    .where(shard.c.id == sa.bindparam("of_shard")).with_for_update(of=job)
+)  # fmt: skip
+_TAKE = (
+    sa.update(shard)
+    .where(
+        shard.c.id == sa.bindparam("of_shard"), shard.c.attempt < MAX_ATTEMPTS,
+        (shard.c.state == "ready") | _lapsed(sa.bindparam("impossible", type_=sa.Double)),
+    )
+    .values(
+        state="running", attempt=shard.c.attempt + 1, lease_until=now() + sa.bindparam("lease", type_=sa.Double),
+        worker=sa.bindparam("new_worker"), host=sa.bindparam("new_host"),
+    )
+    .returning(shard.c.tenant_id, shard.c.kind, shard.c.ordinal, shard.c.queue, shard.c.params, shard.c.attempt)
+)  # fmt: skip
+_STAGES = sa.select(stage).where(stage.c.job_id == sa.bindparam("job")).order_by(stage.c.ordinal)
+_others = tenant.alias()
+_SERVE_TENANT = (
+    sa.update(tenant).where(tenant.c.id == sa.bindparam("tenant"))
+    .values(turn=sa.select(sa.func.max(_others.c.turn) + 1).scalar_subquery()).returning(tenant.c.turn)
+)  # fmt: skip
+_SERVE_JOB = sa.update(job).where(job.c.id == sa.bindparam("job")).values(turn=sa.bindparam("served"))
+_RENEW = (
+    sa.update(shard)
+    .where(_OURS, sa.select(job.c.id).where(job.c.id == sa.bindparam("job"), job.c.state == "running").exists())
+    .values(lease_until=now() + sa.bindparam("lease", type_=sa.Double))
+)
+_KNOWN = (
+    sa.select(shard.c.artifact_digest, shard.c.seconds, shard.c.peak_bytes)
+    .where(shard.c.key == sa.bindparam("key"), shard.c.state == "done", shard.c.artifact_digest.is_not(None)).limit(1)
+)  # fmt: skip
+_LOCKED = sa.select(job.c.state, job.c.optimizer_token).where(job.c.id == sa.bindparam("job")).with_for_update()
+_COMMIT = sa.update(shard).where(_OURS).values(
+    state="done", artifact_digest=sa.bindparam("new_digest"), key=sa.bindparam("new_key"), lease_until=None,
+    seconds=sa.bindparam("took"), peak_bytes=sa.bindparam("peak"), cached=sa.bindparam("was_cached"), error=None, log=None,
+)  # fmt: skip
+_before = sa.func.coalesce(stage.c.peak_bytes, 0)
+_peak = sa.bindparam("peak", type_=sa.BigInteger)
+_COUNT = (
+    sa.update(stage).where(stage.c.id == sa.bindparam("stage"))
+    .values(n_done=stage.c.n_done + sa.bindparam("one", type_=sa.Integer),
+            peak_bytes=sa.case((_before > _peak, _before), else_=_peak))
+    .returning(stage.c.n_done, stage.c.n_shards)
+)  # fmt: skip
