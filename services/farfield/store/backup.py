@@ -124,10 +124,10 @@ def _copy_blobs(source: LocalArtifacts, copy: LocalArtifacts, digests: Iterator[
                 shutil.copyfile(path, temporary)
             if file_digest(temporary) != digest:
                 raise ArtifactDamaged(digest)
+        except ArtifactDamaged:  # which is an ArtifactMissing, too
+            lost[digest] = "damaged"
         except (ArtifactMissing, FileNotFoundError):
             lost[digest] = "missing"
-        except ArtifactDamaged:
-            lost[digest] = "damaged"
         else:
             copy.put_file(temporary, digest)
             continue
