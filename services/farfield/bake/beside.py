@@ -4,7 +4,8 @@ Problem  Where a surface of the cluster ends, its texels are drawn to the share 
          next surface belongs to another object (the other half of a street, the ground under a wall), both sides would
          be drawn in part, and the background shine through between them.
 Method   The triangles of all other objects that reach into the cluster's box, clipped to it, are cut to the slabs and
-         found texel by texel as the cluster's own; texels that they touch, in their layer or the next, are marked.
+         found texel by texel as the cluster's own, some objects at a time; texels that they touch, in their layer or the
+         next, are marked.
 Errs     Towards marking: the box is taken a little larger, and surfaces that do not meet the cluster's are marked, too.
 """
 
@@ -21,6 +22,7 @@ from farfield.impostor.plan import LayerPlan
 from farfield.scene.model import Scene
 
 _MARGIN = 1e-5  # of the box's diagonal
+BATCH = 1 << 16  # triangles at once: 33 MB, whatever lies in the box
 
 
 def mark_beside(scene: Scene, objects: tuple[int, int], box: np.ndarray, plan: LayerPlan, slabs: Slabs,
@@ -40,24 +42,30 @@ def mark_beside(scene: Scene, objects: tuple[int, int], box: np.ndarray, plan: L
         return marks
     axes = np.stack([plan.right, plan.up, -plan.back]).astype(np.float64)
     eye = np.ascontiguousarray(plan.eye, np.float64)
-    most = 7 * int(scene.object_triangles[others].sum())
-    corner = np.empty((most, 3, 3))
-    found = kernels.gather_inside(
-        scene.position, scene.index, scene.primitive_triangle, scene.mesh_primitive, scene.primitive_vertex,
-        scene.object_mesh, scene.object_matrix, others, low, high, eye, axes, corner,
-    )  # fmt: skip
-    corner = corner[:found]
     near_end, far_end = np.array(plan.near, np.float64), np.array(plan.far, np.float64)
     near_end[0], far_end[-1] = -np.inf, np.inf
-    count = np.zeros(len(near_end), np.int64)
-    kernels.count_pieces(corner, near_end, far_end, count)
-    row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    snapped = np.empty((found, 6), np.int32)
-    kernels.snap_corners(corner, *grid(plan), snapped)
-    piece, source = np.empty((int(row[-1]), 6), np.int32), np.empty(int(row[-1]), np.int32)
-    kernels.fill_pieces(corner, snapped, near_end, far_end, *grid(plan), row[:-1].copy(), piece, source)
-    _mark(row, piece, slabs, start, marks)
+    for batch in _batches(others, scene.object_triangles):
+        corner = np.empty((7 * int(scene.object_triangles[batch].sum()), 3, 3))
+        found = kernels.gather_inside(
+            scene.position, scene.index, scene.primitive_triangle, scene.mesh_primitive, scene.primitive_vertex,
+            scene.object_mesh, scene.object_matrix, batch, low, high, eye, axes, corner,
+        )  # fmt: skip
+        corner = corner[:found]
+        count = np.zeros(len(near_end), np.int64)
+        kernels.count_pieces(corner, near_end, far_end, count)
+        row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+        snapped = np.empty((found, 6), np.int32)
+        kernels.snap_corners(corner, *grid(plan), snapped)
+        piece, source = np.empty((int(row[-1]), 6), np.int32), np.empty(int(row[-1]), np.int32)
+        kernels.fill_pieces(corner, snapped, near_end, far_end, *grid(plan), row[:-1].copy(), piece, source)
+        _mark(row, piece, slabs, start, marks)
     return marks
+
+
+def _batches(objects: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
+    """Return the objects in runs of about BATCH triangles: none has a second object that begins beyond them."""
+    held = np.cumsum(triangles[objects]) // BATCH
+    return np.split(objects, np.flatnonzero(np.diff(held)) + 1)
 
 
 @njit(cache=True)

@@ -61,9 +61,10 @@ def surface() -> Surface:
     )  # fmt: skip
 
 
-def test_numba_records_the_texels_that_first_principles_give():
+def test_numba_records_the_texels_that_first_principles_give(request):
+    """10,000 triangles with --accept."""
     side = 12
-    snapped = random_triangles(600, side, 1)
+    snapped = random_triangles(10_000 if request.config.getoption("--accept") else 600, side, 1)
     for f, t in enumerate(snapped):
         sources, pieces, slabs, _ = records(t[None], np.zeros(1, np.int64), side)
         sheet = coverage.record(sources, pieces, slabs, surface(), (0, 1), (side, side))
