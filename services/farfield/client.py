@@ -95,10 +95,11 @@ class Client:
     # jobs
 
     def create_job(
-        self, scene: str, settings: Mapping[str, Any], *, idempotency_key: str, name: str | None = None
-    ) -> dict[str, Any]:
-        """Start a job for the scene with this digest; the same key again is the same job."""
-        body = {"scene": scene, "settings": dict(settings), "name": name}
+        self, scene: str, settings: Mapping[str, Any], *, idempotency_key: str, name: str | None = None,
+        priority: str = "normal",
+    ) -> dict[str, Any]:  # fmt: skip
+        """Start a job for the scene with this digest; the same key again is the same job. `priority`: high, normal, low."""
+        body = {"scene": scene, "settings": dict(settings), "name": name, "priority": priority}
         headers = {"idempotency-key": idempotency_key}
         return self._read(self._request("POST", "/v1/jobs", json=body, headers=headers))
 

@@ -111,9 +111,13 @@ def show(job_id: Id, response: Response, caller: Reader, service: Service) -> Jo
 
 
 @router.get("/{job_id}/stages/{stage}/shards", summary="The shards of a stage", responses=refusals("JobNotFound"))
-def shards(job_id: Id, stage: Annotated[Stage, Path()], caller: Reader, service: Service) -> ShardPageReply:
+def shards(
+    job_id: Id, stage: Annotated[Stage, Path()], caller: Reader, service: Service,
+    start: Annotated[int, Query(ge=0, le=10**9, description="place of the first, in each kind")] = 0,
+    limit: Annotated[int, Query(ge=1, le=5000)] = 1000,
+) -> ShardPageReply:  # fmt: skip
     jobs.get(service.engine, caller.tenant_id, job_id)
-    rows = jobs.shards_of(service.engine, job_id, stage)
+    rows = jobs.shards_of(service.engine, job_id, stage, start=start, limit=limit)
     keys = ("kind", "ordinal", "state", "attempt", "cached", "seconds", "peak_bytes", "worker", "error")
     return ShardPageReply(shards=[{key: getattr(row, key) for key in keys} for row in rows])  # type: ignore[misc]
 

@@ -36,7 +36,7 @@ def follow(events: Iterable[tuple[str, dict[str, Any]]], console: Console) -> No
                 if data["state"] == "planning":
                     bars.start_task(task)
                 elif data["state"] in ("running", "merging") and "shards" in data:
-                    bars.update(task, total=max(data["shards"], 1))
+                    bars.update(task, total=max(data["shards"], 1), completed=data.get("done"))
                 elif data["state"] in ("done", "skipped", "failed"):
                     if not console.is_terminal:  # bars would only show at the end of a build's log
                         reason = f": {data['skipped']}" if data.get("skipped") else ""

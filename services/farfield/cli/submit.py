@@ -33,6 +33,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--device", metavar="NAME|FILE.toml", help="a preset, a device of the service, or a profile's file"
     )
     parser.add_argument("--name", help="what to call the job (default: the file's name)")
+    parser.add_argument(
+        "--priority", choices=("high", "normal", "low"), default="normal", help="before or after other jobs of yours"
+    )
     parser.add_argument("--idempotency-key", metavar="K", help="submitted again with the same key it is the same job")
     parser.add_argument("--watch", action="store_true", help="follow the job; exit 0 if its placement is valid, else 4")
     parser.add_argument("--json", action="store_true", help="print the job as JSON and nothing else")
@@ -49,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     def submit(service: Client) -> int:
         scene = _send_scene(service, args.scene, console)
         key = args.idempotency_key or secrets.token_hex(16)
-        job = service.create_job(scene, settings, idempotency_key=key, name=args.name or args.scene.name)
+        job = service.create_job(
+            scene, settings, idempotency_key=key, name=args.name or args.scene.name, priority=args.priority
+        )
         console.print(f"job {job['id']}", highlight=False)
         if args.watch:
             follow(service.events(job["id"]), console)

@@ -119,6 +119,7 @@ export interface EventData {
   cached?: boolean;
   skipped?: string;
   shards?: number;
+  done?: number;
   verdict?: Verdict | null;
   error?: JobError;
 }

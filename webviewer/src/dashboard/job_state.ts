@@ -40,6 +40,9 @@ export function emptyState(): JobState {
   return { shards: new Map(), log: [], lastEvent: 0 };
 }
 
+/** A stage of more shards tells of its progress only: see the service's store/shards.py. */
+const MOST_SQUARES = 5000;
+
 function blank(): Shard {
   return { state: "ready", attempt: 0, cached: false, seconds: null, peakBytes: null, worker: null, sinceMs: null, error: null };
 }
@@ -85,7 +88,7 @@ export function apply(state: JobState, event: JobEvent): boolean {
   }
   if (event.kind === "stage" && stage && event.data.shards !== undefined) {
     const list = listOf(state, stage, "run");
-    for (let k = 0; k < event.data.shards; k++) list[k] ??= blank();
+    for (let k = 0; k < Math.min(event.data.shards, MOST_SQUARES); k++) list[k] ??= blank();
   }
   if (event.kind === "job" && (event.data.state === "cancelled" || event.data.state === "failed")) drop(state);
   return event.kind !== "shard";
@@ -127,6 +130,7 @@ export function lineOf(event: JobEvent): LogLine {
   } else if (event.kind === "stage") {
     line.who = d.stage ?? "";
     if (d.state === "skipped") line.text = `skipped: ${d.skipped ?? ""}`;
+    else if (d.state === "running" && d.done !== undefined) line.text = `${d.done} of ${d.shards} shards done`;
     else if (d.state === "running" && d.shards !== undefined) line.text = `runs in ${d.shards} shard${d.shards === 1 ? "" : "s"}`;
     else if (d.state === "failed") line.level = "error";
   } else if (d.state === "failed") {
