@@ -41,7 +41,7 @@ export function emptyState(): JobState {
 }
 
 /** A stage of more shards tells of its progress only: see the service's store/shards.py. */
-const MOST_SQUARES = 5000;
+const MOST_LISTED = 5000;
 
 function blank(): Shard {
   return { state: "ready", attempt: 0, cached: false, seconds: null, peakBytes: null, worker: null, sinceMs: null, error: null };
@@ -88,7 +88,7 @@ export function apply(state: JobState, event: JobEvent): boolean {
   }
   if (event.kind === "stage" && stage && event.data.shards !== undefined) {
     const list = listOf(state, stage, "run");
-    for (let k = 0; k < Math.min(event.data.shards, MOST_SQUARES); k++) list[k] ??= blank();
+    for (let k = 0; k < Math.min(event.data.shards, MOST_LISTED); k++) list[k] ??= blank();
   }
   if (event.kind === "job" && (event.data.state === "cancelled" || event.data.state === "failed")) drop(state);
   return event.kind !== "shard";
