@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from farfield.errors import SceneOverLimit
 from farfield.geometry.cells import cells_about
 from farfield.scene import kernels
 from farfield.scene.level import Level, measure
@@ -31,6 +32,7 @@ _SLAB = 0.25  # depth over the lesser of width and height of a level that may li
 _OUTLIER = 4.0
 _SAMPLES = 4  # a column and axis
 _COLUMNS = 512  # an axis, at most
+_MOST_SAMPLES = 1 << 30  # looked at, over all triangles: some seconds of one core; a city takes a thousandth
 _MOST_CELLS = 2 * 48 * 48  # of a view space that is derived
 _HUMAN_HEIGHT_M, _HUMAN_SIDE_M = 2.2, 6.0
 _VIEWS, _BUDGET_SHARE = 512, 0.4
@@ -175,6 +177,7 @@ def sample_ground(level: Level, *, low: np.ndarray, high: np.ndarray, cell_m: fl
     floor_y = float(low[1] - (high[1] - low[1]) - cell_m)
     ends = level.mesh_triangles()
     best: Ground | None = None
+    left = _MOST_SAMPLES
     reach = np.stack([np.full(int(shape[0]), np.inf), np.full(int(shape[0]), -np.inf)], 1)  # of z, a row
     for facing in (1.0, -1.0):
         height = np.full((int(shape[0]), int(shape[1])), np.inf)
@@ -190,7 +193,10 @@ def sample_ground(level: Level, *, low: np.ndarray, high: np.ndarray, cell_m: fl
             turned = -facing if np.linalg.det(matrix[:, :3]) < 0 else facing
             if best is None:
                 kernels.row_reach(placed, low, high, x0, step, reach)
-            kernels.lowest_surface(placed[index - start], turned, _STEEPEST, floor_y, x0, z0, step, height)
+            corner = placed[index - start]
+            left -= kernels.lowest_surface(corner, turned, _STEEPEST, floor_y, x0, z0, step, height, left)
+            if left < 0:
+                raise SceneOverLimit("The surfaces of the scene lie one over another too often to find its ground.")
         inside = hull_rows(reach, z0=z0, step=step, n=int(shape[1]))
         found = Ground(height, x0, z0, step, inside)
         if best is None or found.covered > best.covered:

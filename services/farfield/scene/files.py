@@ -33,13 +33,17 @@ def relative_name(uri: str, *, base: str = "") -> str:
     """Return the normal form, `a/b.png`, of a reference seen from the folder `base`. Raises SceneUriRefused."""
     name = urllib.parse.unquote(uri).replace("\\", "/")
     if "\0" in name or not name.strip():
-        raise SceneUriRefused(f"The scene refers to {uri[:200]!r}, which is no file name.")
+        raise SceneUriRefused(f"The scene refers to {_shown(uri)}, which is no file name.")
     if name.startswith("/") or re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", name):
-        raise SceneUriRefused(f"The scene refers to {uri[:200]!r}; only relative names are read.")
+        raise SceneUriRefused(f"The scene refers to {_shown(uri)}; only relative names are read.")
     normal = posixpath.normpath(posixpath.join(base, name))
     if normal == ".." or normal.startswith(("../", "/")):
-        raise SceneUriRefused(f"The scene refers to {uri[:200]!r}, which is outside its folder.")
+        raise SceneUriRefused(f"The scene refers to {_shown(uri)}, which is outside its folder.")
     return normal
+
+
+def _shown(name: str) -> str:
+    return repr(name if len(name) <= 200 else name[:199] + "\u2026")
 
 
 def data_uri(uri: str, *, limits: Limits) -> bytes | None:
@@ -62,8 +66,9 @@ class Folder:
     """A scene file on disk and what lies beside and below it."""
 
     def __init__(self, path: Path, limits: Limits) -> None:
-        self.root = path.resolve().parent
-        self.name = path.name
+        # Whoever names the scene may name a link to it: what it refers to lies beside the file itself.
+        whole = path.resolve()
+        self.root, self.name = whole.parent, whole.name
         self._limits = limits
         self._total = 0
 
@@ -71,18 +76,18 @@ class Folder:
         try:
             path = (self.root / relative).resolve()
             if not path.is_relative_to(self.root):
-                raise SceneUriRefused(f"The scene refers to {relative!r}, which is outside its folder.")
+                raise SceneUriRefused(f"The scene refers to {_shown(relative)}, which is outside its folder.")
             status = path.stat()
         except (OSError, ValueError, RuntimeError) as error:
-            raise SceneFileMissing(f"The scene refers to {relative!r}, which is not there.") from error
+            raise SceneFileMissing(f"The scene refers to {_shown(relative)}, which is not there.") from error
         if not stat.S_ISREG(status.st_mode):
-            raise SceneFileMissing(f"The scene refers to {relative!r}, which is not a plain file.")
+            raise SceneFileMissing(f"The scene refers to {_shown(relative)}, which is not a plain file.")
         self._total += status.st_size
         need(self._total, self._limits.bytes, "bytes")
         try:
             return path.read_bytes()
         except OSError as error:
-            raise SceneFileMissing(f"The scene refers to {relative!r}, which cannot be read.") from error
+            raise SceneFileMissing(f"The scene refers to {_shown(relative)}, which cannot be read.") from error
 
 
 _RANKS = {".glb": 0, ".gltf": 0, ".obj": 1, ".ply": 2, ".stl": 3}
@@ -115,20 +120,22 @@ class Zip:
         best = min(ranks.values())
         found = sorted(n for n, rank in ranks.items() if rank == best)
         if len(found) > 1:
-            raise SceneUnreadable(f"The zip holds {len(found)} scenes ({', '.join(found[:4])}); it must hold one.")
+            raise SceneUnreadable(
+                f"The zip holds {len(found)} scenes ({', '.join(map(_shown, found[:4]))}); it must hold one."
+            )
         return found[0]
 
     def read(self, relative: str) -> bytes:
         entry = self._entries.get(relative)
         if entry is None:
-            raise SceneFileMissing(f"The scene refers to {relative!r}, which is not in the zip.")
+            raise SceneFileMissing(f"The scene refers to {_shown(relative)}, which is not in the zip.")
         self._total += entry.file_size
         need(self._total, self._limits.unpacked_bytes, "unpacked bytes")
         try:
             with self._zip.open(entry) as stream:
                 data = stream.read(entry.file_size + 1)
         except (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError) as error:
-            raise SceneUnreadable(f"{relative!r} in the zip cannot be unpacked: {error}.") from error
+            raise SceneUnreadable(f"{_shown(relative)} in the zip cannot be unpacked: {error}.") from error
         if len(data) != entry.file_size:
-            raise SceneUnreadable(f"{relative!r} in the zip is not as long as the zip says.")
+            raise SceneUnreadable(f"{_shown(relative)} in the zip is not as long as the zip says.")
         return data

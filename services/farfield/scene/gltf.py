@@ -20,7 +20,7 @@ from farfield.scene.gltf_materials import NONE, Materials, TexCoord
 from farfield.scene.limits import Limits, need
 from farfield.scene.meshopt import view_bytes
 from farfield.scene.model import ANIMATED, MORPHED, SKINNED
-from farfield.scene.raw import RawNode, RawPrimitive, RawScene
+from farfield.scene.raw import RawNode, RawPrimitive, RawScene, plain_text
 
 READ_EXTENSIONS = frozenset({
     "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_emissive_strength", "EXT_texture_webp",
@@ -89,8 +89,7 @@ class _Reader:
         return Json.rows(self.document.get(key), key)
 
     def _warn(self, text: str) -> None:
-        if text not in self.scene.warnings:
-            self.scene.warnings.append(text)
+        self.scene.warn(text)
 
     def read(self) -> RawScene:
         self._check_head()
@@ -119,7 +118,7 @@ class _Reader:
     def _check_head(self) -> None:
         asset = Json.table(self.document.get("asset"), "asset")
         notice = asset.get("copyright", "")
-        self.scene.notice = notice[:2000] if isinstance(notice, str) else ""
+        self.scene.notice = plain_text(notice) if isinstance(notice, str) else ""
         for key in ("version", "minVersion"):
             version = asset.get(key, "2.0")
             if (

@@ -129,8 +129,7 @@ class Materials:
             return None
 
     def _warn(self, text: str) -> None:
-        if text not in self._scene.warnings:
-            self._scene.warnings.append(text)
+        self._scene.warn(text)
 
 
 _SHINE = ("clearcoat", "iridescence", "anisotropy", "sheen", "specular", "dispersion")

@@ -74,8 +74,8 @@ def row_reach(point, low, high, x0, step, reach):
 
 
 @njit(cache=True)
-def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height):
-    """Lower `height` (nx,nz) to the lowest surface over each sample point.
+def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height, most=1 << 62):
+    """Lower `height` (nx,nz) to the lowest surface over each sample point; return how many it looked at, above `most`: gave up.
 
     corner    (T,3,3) f64 placed triangles
     facing    1: those whose normal points up, -1: down
@@ -84,6 +84,7 @@ def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height):
     Sample (i, k) stands at (x0 + i step, z0 + k step).
     """
     nx, nz = height.shape
+    looked = 0
     for t in range(len(corner)):
         ax, ay, az = corner[t, 0]
         ux, uy, uz = corner[t, 1, 0] - ax, corner[t, 1, 1] - ay, corner[t, 1, 2] - az
@@ -98,6 +99,9 @@ def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height):
         i1 = int(np.floor(max(min((high_x - x0) / step, nx - 1.0), -1.0)))
         k0 = int(np.ceil(min(max((low_z - z0) / step, 0.0), float(nz))))
         k1 = int(np.floor(max(min((high_z - z0) / step, nz - 1.0), -1.0)))
+        looked += max(0, i1 + 1 - i0) * max(0, k1 + 1 - k0)
+        if looked > most:
+            return looked
         for i in range(i0, i1 + 1):
             px = x0 + i * step - ax
             for k in range(k0, k1 + 1):
@@ -109,6 +113,7 @@ def lowest_surface(corner, facing, steepest, floor_y, x0, z0, step, height):
                     y = ay + s * uy + r * vy
                     if y >= floor_y and y < height[i, k]:
                         height[i, k] = y
+    return looked
 
 
 @njit(cache=True)

@@ -65,7 +65,7 @@ def build_level(raw: RawScene, *, unit_m: float, up: str) -> Level:
     raw.meshes = [[p for p in mesh if len(p.index)] for mesh in raw.meshes]
     nodes = [n for n in raw.nodes if raw.meshes[n.mesh]]
     matrices = [compose(turn, n.matrix) for n in nodes]
-    placed = [i for i, m in enumerate(matrices) if _spans_a_plane(m[:3, :3])]
+    placed = np.flatnonzero(_span_planes(np.array(matrices).reshape(-1, 4, 4)[:, :3, :3])).tolist()
     warnings = list(raw.warnings)
     if len(placed) < len(nodes):
         warnings.append(f"{len(nodes) - len(placed)} objects are scaled to a line or a point; they are left out.")
@@ -84,10 +84,11 @@ def build_level(raw: RawScene, *, unit_m: float, up: str) -> Level:
     return level
 
 
-def _spans_a_plane(linear: np.ndarray) -> bool:
-    a, b, c = linear.T
+def _span_planes(linear: np.ndarray) -> np.ndarray:
+    """(n,3,3) -> (n,): whether the columns span a plane at least."""
+    a, b, c = linear.transpose(2, 0, 1)
     with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.cross(a, b).any() or np.cross(b, c).any() or np.cross(c, a).any())
+        return np.any([np.cross(*pair).any(-1) for pair in ((a, b), (b, c), (c, a))], axis=0)
 
 
 def _offsets(raw: RawScene, used: list[int], matrices: list[np.ndarray]) -> dict[int, np.ndarray]:

@@ -117,8 +117,7 @@ class MtlReader:
         return None
 
     def _warn(self, text: str) -> None:
-        if text not in self._scene.warnings:
-            self._scene.warnings.append(text)
+        self._scene.warn(text)
 
 
 def _numbers(text: str, n: int) -> list[float] | None:

@@ -37,7 +37,7 @@ class _Reader:
         self.corner = tuple(array("q") for _ in range(3))  # position, texture coordinate, normal; -1 none
         self.size, self.face_part = array("q"), array("q")
         self.parts: dict[tuple[str, str], int] = {}  # (object name, material name)
-        self.bad_attributes = False
+        self.libraries: set[str] = set()
 
     def read(self, text: str) -> RawScene:
         folder = posixpath.dirname(self.files.name)
@@ -64,15 +64,15 @@ class _Reader:
                 self.group, part = rest, -1
             elif key == "usemtl":
                 self.material, part = rest, -1
-            elif key == "mtllib":
+            elif key == "mtllib" and rest not in self.libraries:
+                self.libraries.add(rest)
                 self._mtllib(rest, folder)
             elif key in _CURVES:
                 self._warn("Curves and free-form surfaces are left out.")
         return self._finish()
 
     def _warn(self, text: str) -> None:
-        if text not in self.scene.warnings:
-            self.scene.warnings.append(text)
+        self.scene.warn(text)
 
     def _name(self) -> str:
         return "/".join(n for n in (self.object, self.group) if n) or posixpath.basename(self.files.name)
@@ -158,9 +158,11 @@ class _Reader:
                 self._warn("Some faces refer to normals or texture coordinates that are not there; they go without.")
             return np.where(known, at, 0), bool(known.all())
 
+        by_part = np.argsort(part, kind="stable")
+        ends = np.searchsorted(part[by_part], np.arange(len(self.parts) + 1))
         meshes: dict[str, int] = {}
         for (name, material), p in self.parts.items():
-            rows = triangle[part == p] if len(self.parts) > 1 else triangle
+            rows = triangle[by_part[ends[p] : ends[p + 1]]]
             if not len(rows):
                 continue
             uv_at, has_uv = attribute(1, vt, rows)

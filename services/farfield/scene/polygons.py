@@ -5,6 +5,11 @@ After    Meisters. Polygons have ears. American Mathematical Monthly 82, 1975 (e
 
 import numpy as np
 
+from farfield.errors import SceneOverLimit
+from farfield.scene.ear_kernels import clip_ears
+
+MOST_TESTS = 1 << 30  # some seconds of one core
+
 
 def triangulate(position: np.ndarray, corner: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return ((T,3) int64 rows of `corner`, (T,) int64 the polygon of each triangle), in polygon order.
@@ -12,9 +17,11 @@ def triangulate(position: np.ndarray, corner: np.ndarray, size: np.ndarray) -> t
     position   (V,3) f64
     corner     (E,) int64 vertex of each polygon corner, polygon after polygon
     size       (F,) int64 corners of each polygon; those with fewer than 3 give nothing
+    Raises SceneOverLimit where concave ones would take more than MOST_TESTS tests of a corner against an ear.
     """
     first = np.concatenate([[0], np.cumsum(size)[:-1]]) if len(size) else np.zeros(0, np.int64)
     triangles, owners = [], []
+    left = MOST_TESTS
     for n in np.unique(size[size >= 3]).tolist():
         polygon = np.flatnonzero(size == n)
         rows = first[polygon][:, None] + np.arange(n)
@@ -22,7 +29,9 @@ def triangulate(position: np.ndarray, corner: np.ndarray, size: np.ndarray) -> t
         cut = rows[:, fan]
         if n > 3:
             for i in np.flatnonzero(~_convex(position[corner[rows]])).tolist():
-                cut[i] = rows[i][_clip_ears(position[corner[rows[i]]])]
+                ears, tests = _clip_ears(position[corner[rows[i]]], left)
+                left -= tests
+                cut[i] = rows[i][ears]
         triangles.append(cut.reshape(-1, 3))
         owners.append(np.repeat(polygon, n - 2))
     if not triangles:
@@ -45,33 +54,15 @@ def _convex(points: np.ndarray) -> np.ndarray:
     return ((turn * _normal(points)[:, None]).sum(-1) >= 0).all(1)
 
 
-def _clip_ears(points: np.ndarray) -> np.ndarray:
-    """(n,3) -> (n-2,3): cut off ears in the plane of the normal; what has no ear left is fanned."""
-    normal = np.abs(_normal(points))
-    drop = int(np.argmax(normal))
+def _clip_ears(points: np.ndarray, most: int) -> tuple[np.ndarray, int]:
+    """(n,3) -> (n-2,3): cut off ears in the plane of the normal; what has no ear left is fanned. Also the tests made."""
+    whole = _normal(points)
+    drop = int(np.argmax(np.abs(whole)))
     u, v = [(1, 2), (2, 0), (0, 1)][drop]
-    sign = 1.0 if _normal(points)[drop] >= 0 else -1.0
-    flat = [(float(p[u]), sign * float(p[v])) for p in points]
-
-    def turn(a: int, b: int, c: int) -> float:
-        (ax, ay), (bx, by), (cx, cy) = flat[a], flat[b], flat[c]
-        return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-
-    def is_ear(a: int, b: int, c: int) -> bool:
-        if turn(a, b, c) <= 0:
-            return False
-        others = (p for p in left if p not in (a, b, c) and flat[p] not in (flat[a], flat[b], flat[c]))
-        return not any(turn(a, b, p) >= 0 and turn(b, c, p) >= 0 and turn(c, a, p) >= 0 for p in others)
-
-    left, found = list(range(len(flat))), []
-    while len(left) > 3:
-        for k in range(len(left)):
-            a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]
-            if is_ear(a, b, c):
-                found.append((a, b, c))
-                del left[k]
-                break
-        else:
-            break
-    found += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
-    return np.array(found)
+    sign = 1.0 if whole[drop] >= 0 else -1.0
+    flat = np.stack([points[:, u], sign * points[:, v]], 1)
+    found = np.empty((len(points) - 2, 3), dtype=np.int64)
+    tests = clip_ears(flat, most, found)
+    if tests > most:
+        raise SceneOverLimit("The scene has concave polygons with too many corners; triangulate them.")
+    return found, tests

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from farfield.scene.model import OPAQUE
 
 REPEAT, MIRROR, CLAMP = 10497, 33648, 33071
+MOST_WARNINGS, MOST_TEXT = 200, 1000
 
 
 @dataclass(slots=True)
@@ -33,6 +34,9 @@ class RawNode:
     matrix: np.ndarray  # (4,4) f64, finite, affine
     look: int = 0  # bits of farfield.scene.model.LOOKS
 
+    def __post_init__(self) -> None:
+        self.name = plain_text(self.name)
+
 
 @dataclass(slots=True, kw_only=True)
 class RawMaterial:
@@ -46,6 +50,9 @@ class RawMaterial:
     emissive_texture: int = -1
     unlit: bool = False
     look: int = 0  # bits of farfield.scene.model.LOOKS
+
+    def __post_init__(self) -> None:
+        self.name = plain_text(self.name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +72,25 @@ class RawScene:
     warnings: list[str] = field(default_factory=list)
     dropped_triangles: int = 0
     notice: str = ""  # copyright and attribution, to be shown with pictures
+    _told: set[str] = field(default_factory=set)
     default_double_sided: bool = False  # of primitives without a material
+
+    def warn(self, text: str) -> None:
+        """Say something once; of many things, how many there are."""
+        text = plain_text(text)
+        if text in self._told:
+            return
+        self._told.add(text)
+        if len(self._told) > MOST_WARNINGS:
+            self.warnings[MOST_WARNINGS:] = [f"There are {len(self._told) - MOST_WARNINGS} more warnings."]
+        else:
+            self.warnings.append(text)
+
+
+def plain_text(text: str) -> str:
+    """Return a text of the file as what any file, database and page can hold: no half characters, no control codes."""
+    whole = text[:MOST_TEXT].encode("utf-8", "replace").decode()
+    return whole if whole.isprintable() else "".join(c if c.isprintable() else "\ufffd" for c in whole)
 
 
 def linear_from_srgb(value: npt.ArrayLike) -> np.ndarray:

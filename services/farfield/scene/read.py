@@ -69,14 +69,22 @@ def inspect_scene(
 
 def _read_raw(path: Path, limits: Limits) -> RawScene:
     if not path.is_file():
-        raise SceneFileMissing(f"{path.name} is not there, or is no plain file.")
+        links = (
+            "is a symbolic link to nothing that can be read"
+            if path.is_symlink()
+            else "is not there, or is no plain file"
+        )
+        raise SceneFileMissing(f"{path.name} {links}.")
     try:
         zipped = zipfile.is_zipfile(path) and path.open("rb").read(2) == b"PK"
         files: SceneFiles = Zip(path, limits) if zipped else Folder(path, limits)
         data = files.read(files.name)
-        return _reader(data, files.name)(data, files, limits)
-    except (MemoryError, OSError, RecursionError) as error:
-        raise SceneUnreadable(f"{path.name} cannot be read: {error}.") from error
+        return _reader(data, files.name if zipped else path.name)(data, files, limits)
+    except MemoryError as error:
+        raise SceneOverLimit(f"Reading {path.name} takes more memory than there is.") from error
+    except (OSError, RecursionError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else "it is nested too deeply"
+        raise SceneUnreadable(f"{path.name} cannot be read: {why}.") from error
 
 
 def _reader(data: bytes, name: str):  # type: ignore[no-untyped-def]

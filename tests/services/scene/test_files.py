@@ -114,3 +114,25 @@ def test_what_is_no_plain_file(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(SceneFileMissing):
         read(tmp_path / "a.gltf")
+
+
+def test_a_scene_may_be_a_link_and_what_it_names_lies_beside_the_file(tmp_path):
+    (tmp_path / "store").mkdir()
+    level = box_level()
+    (tmp_path / "store" / "a.gltf").write_bytes(level.gltf("body.bin"))
+    (tmp_path / "store" / "body.bin").write_bytes(bytes(level.body))
+    link = tmp_path / "level.gltf"
+    link.symlink_to("store/a.gltf")
+    assert read(link).n_objects == read(tmp_path / "store" / "a.gltf").n_objects
+    broken = tmp_path / "broken.glb"
+    broken.symlink_to("none.glb")
+    with pytest.raises(SceneFileMissing, match=r"broken\.glb is a symbolic link to nothing"):
+        read(broken)
+
+
+def test_a_thousand_warnings_are_not_said_one_by_one(tmp_path):
+    lines = "".join(f"usemtl none{i}\nf 1 2 3\n" for i in range(1000))
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{lines}")
+    told = read(tmp_path / "a.obj").warnings
+    assert "There are 800 more warnings." in told
+    assert len(told) < 210
