@@ -82,6 +82,7 @@ def _show(found: dict) -> None:
         if proof["failed"]:
             table.add_row("", f"failed: impostors {', '.join(map(str, proof['failed_impostors']))}")
     defects = {
+        "too_coarse": "objects were drawn at a level that is too coarse for where they are",
         "over_bound": "views cost more than their stated bound",
         "outside_view_cell": "impostors were shown outside their view cell",
     }
