@@ -72,7 +72,7 @@ class Conditional:
 
 
 def _tagged(method: str, status: int, headers: Headers) -> bool:
-    plain = headers.get("content-type", "").startswith("application/json") and "etag" not in headers
+    plain = headers.get("content-type", "").startswith("application/json")
     return method in ("GET", "HEAD") and status == 200 and plain and "no-store" not in headers["cache-control"]
 
 
@@ -80,7 +80,8 @@ def _conditional(scope: Scope, start: Message, message: Message) -> tuple[Messag
     headers = MutableHeaders(raw=start["headers"])
     if not message.get("body"):  # HEAD, where the route leaves the body out
         return start, message
-    headers["etag"] = etag_of(message["body"])
+    if "etag" not in headers:
+        headers["etag"] = etag_of(message["body"])
     if matches(Headers(scope=scope).get("if-none-match", ""), headers["etag"]):
         for name in ("content-length", "content-type"):
             del headers[name]

@@ -96,14 +96,62 @@ def test_more_frames_than_a_device_may_have_are_refused(service, monkeypatch):
     assert service.client.get(f"/v1/devices/{device}").json()["samples"] == 100
 
 
-def test_a_late_fit_to_fewer_frames_changes_nothing(service):
+def test_frames_that_came_meanwhile_are_fitted_with(service, monkeypatch):
+    from farfield_api.routes import devices as route
+
+    device, fit, fitted = make(service), route._fit, []
+
+    async def slow(state, all_frames):
+        fitted.append(len(all_frames))
+        if len(fitted) == 1:  # while the first is fitted, others come
+            assert devices.keep(
+                service.engine, service.tenant_id, device, frames(3).tolist(), n_before=0, model=None, refusal=None
+            )
+        return await fit(state, all_frames)
+
     from farfield.store import devices
 
-    device = make(service)
-    send(service, device, rows(frames(120)))
-    before = service.client.get(f"/v1/devices/{device}").json()
-    devices.keep_fit(service.engine, device, n_fitted=119, model=None, refusal={"code": "SamplesTooFew"})
-    assert service.client.get(f"/v1/devices/{device}").json() == before
+    monkeypatch.setattr(route, "_fit", slow)
+    assert send(service, device, rows(frames(20))).json()["samples"] == 23
+    assert fitted == [20, 23]
+
+
+def test_a_fit_that_fails_leaves_nothing_and_can_be_asked_for_again(service, monkeypatch):
+    device, command = make(service), service.settings.calibrate_command
+    once = {"idempotency-key": "night-17"}
+    object.__setattr__(service.settings, "calibrate_command", (command[0], "-c", "raise SystemExit(1)"))
+    failed = send(service, device, rows(frames(120)), headers=once)
+    assert failed.status_code == 422
+    assert service.client.get(f"/v1/devices/{device}").json()["samples"] == 0
+    object.__setattr__(service.settings, "calibrate_command", command)
+    for _ in range(2):
+        assert send(service, device, rows(frames(120)), headers=once).json()["samples"] == 120
+    other = send(service, device, rows(frames(12)), headers=once)
+    assert (other.status_code, other.json()["code"]) == (409, "IdempotencyConflict")
+
+
+def test_few_wait_for_a_fit(service, monkeypatch):
+    monkeypatch.setattr("farfield_api.routes.devices.MAX_WAITING", 0)
+    answer = send(service, make(service), rows(frames(3)))
+    assert (answer.status_code, answer.json()["code"], answer.headers["retry-after"]) == (429, "DeviceBusy", "5")
+
+
+def test_devices_are_listed_in_pages_capped_and_deleted(service, monkeypatch):
+    made = [make(service, f"office {i}") for i in range(5)]
+    first = service.client.get("/v1/devices?limit=3").json()
+    rest = service.client.get("/v1/devices", params={"cursor": first["next"]}).json()
+    assert [d["id"] for d in (*first["devices"], *rest["devices"])] == made[::-1]
+    assert rest["next"] is None
+    assert [d["id"] for d in service.client.get("/v1/devices?name=OFFICE 3").json()["devices"]] == made[3:4]
+    monkeypatch.setattr("farfield.store.devices.MAX_DEVICES", 5)
+    answer = service.client.post("/v1/devices", json={"name": "one more"})
+    assert (answer.status_code, answer.json()["code"]) == (403, "QuotaExceeded")
+    send(service, made[0], rows(frames(160)))
+    job = service.client.post("/v1/jobs", json={"scene": service.upload(), "settings": {"device": "office 0"}}).json()
+    assert service.client.delete(f"/v1/devices/{made[0]}").status_code == 204
+    assert service.client.get(f"/v1/devices/{made[0]}").status_code == 404
+    assert service.client.get(f"/v1/jobs/{job['id']}").json()["settings"] == job["settings"]
+    assert make(service, "one more")
 
 
 def test_a_device_may_come_with_its_profile(service):

@@ -198,15 +198,19 @@ def test_a_job_is_accepted_while_the_broker_is_away(service):
     assert row.state == "queued"
 
 
-def test_reading_a_placement_leaves_no_file_and_deleting_its_job_frees_all(service, worker):
+def test_reading_a_placement_leaves_no_file_and_what_its_deletion_frees_is_collected(service, worker):
+    from farfield.store import collect
+    from farfield.store.artifacts import LocalArtifacts
+
     job = service.create()
     worker()
     before = sorted(service.settings.artifacts.rglob("*"))
     assert service.client.get(f"/v1/placements/{job}/manifest.json").status_code == 200
     assert sorted(service.settings.artifacts.rglob("*")) == before
     n_bytes = service.client.delete(f"/v1/jobs/{job}").json()["bytes"]
+    found = collect.collect(service.engine, LocalArtifacts(service.settings.artifacts), grace_s=0.0)
     gone = [p for p in before if not p.exists()]
-    assert n_bytes > 0
+    assert (found.removed, found.removed_bytes) == (len([p for p in gone if len(p.name) == 64]), n_bytes)
     assert gone
     assert service.client.get(f"/v1/placements/{job}/manifest.json").status_code == 404
 
