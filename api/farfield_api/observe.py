@@ -118,7 +118,7 @@ class _Seen:
         return counted
 
     def tenant(self, scope: Scope) -> Any:
-        return scope.get("state", {}).get("tenant")
+        return getattr(scope.get("state", {}).get("caller"), "tenant_id", None)
 
 
 def request_id(scope: Scope) -> str:

@@ -44,7 +44,7 @@ class Telemetry:
         """Say that this shard is computed within."""
         about: dict[str, Any] = {
             "job": held.job_id, "stage": held.stage, "kind": held.kind, "shard": held.ordinal, "attempt": held.attempt,
-            "tenant": getattr(held, "tenant_id", None),
+            "tenant": held.tenant_id,
         }  # fmt: skip
         with self._guard:
             self._held = held, time.monotonic()

@@ -51,6 +51,7 @@ class Claim:
     pieces: tuple[str, ...]  # digests of the stage's `run` shards in plan order, for `merge`
     outcomes: tuple[Mapping[str, Any], ...]  # of the stages that ran, for `report`
     n_shards: int = 1  # that its stage runs
+    tenant_id: str | None = None
 
 
 def claim(
@@ -89,7 +90,7 @@ def claim(
         shard_id=shard_id, job_id=at.id, stage_id=at.stage_id, stage=at.name, kind=row.kind, ordinal=row.ordinal,
         params=row.params, queue=row.queue, attempt=row.attempt, fence=fence, settings=at.settings, scene_digest=at.scene_digest,
         scene_suffix=at.suffix, artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest},
-        pieces=tuple(pieces), outcomes=tuple(outcomes), n_shards=at.n_shards,
+        pieces=tuple(pieces), outcomes=tuple(outcomes), n_shards=at.n_shards, tenant_id=row.tenant_id,
     )  # fmt: skip
 
 
