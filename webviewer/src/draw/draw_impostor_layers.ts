@@ -24,6 +24,8 @@ export class ImpostorLayers {
   readonly indexBuffer: WebGLBuffer;
   private readonly gl: WebGL2RenderingContext;
   private readonly program: Program;
+  /** Whether the shader says itself which samples of a pixel it covers. */
+  private readonly masks: boolean;
   private indices = new Uint32Array(3 * 1024);
   private capacity = 0;
   private count = 0;
@@ -31,7 +33,10 @@ export class ImpostorLayers {
 
   constructor(gl: WebGL2RenderingContext) {
     this.gl = gl;
-    this.program = makeProgram(gl, vertexSource, fragmentSource);
+    this.masks = gl.getExtension("OES_sample_variables") !== null;
+    const version = "#version 300 es\n";
+    const masking = `${version}#extension GL_OES_sample_variables : require\n#define SAMPLE_MASK\n`;
+    this.program = makeProgram(gl, vertexSource, this.masks ? fragmentSource.replace(version, masking) : fragmentSource);
     this.indexBuffer = gl.createBuffer()!;
   }
 
@@ -86,7 +91,7 @@ export class ImpostorLayers {
     gl.uniform2f(program.uniform("u_depth"), x, y);
     gl.uniform1i(program.uniform("u_mode"), view.mode);
     gl.uniform3fv(program.uniform("u_tints"), TINTS);
-    if (view.mode !== IDS) gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
+    if (view.mode !== IDS && !this.masks) gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
     gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
     gl.disable(gl.SAMPLE_ALPHA_TO_COVERAGE);
     gl.bindVertexArray(null);

@@ -1,6 +1,10 @@
 #version 300 es
-// A pixel of a layer: the texels under four points of it. Coverage is their mean share, colour their mean by it, in linear
-// light; depth that of the nearest. Texels that the pixel does not touch have no part in it.
+// A pixel of a layer: the texels under four points of it. Colour is their mean by what they cover, in linear light;
+// depth that of the nearest. Texels that the pixel does not touch have no part in it.
+//
+// With SAMPLE_MASK the points are the pixel's samples, each covered or not: two layers that meet within a pixel share its
+// samples out between them, and nothing shines through. Without it alpha becomes coverage, of as many samples, but the same ones for
+// both layers: a quarter of the background may show along such a line.
 precision highp float;
 precision highp int;
 precision highp sampler2DArray;
@@ -20,14 +24,15 @@ uniform vec3 u_tints[4];
 
 out vec4 o_color;
 
-const vec2 POINT[4] = vec2[4](vec2(-0.125, -0.375), vec2(0.375, -0.125), vec2(0.125, 0.375), vec2(-0.375, 0.125));
+// Where graphics cards have the four samples of a pixel, in order.
+const vec2 POINT[4] = vec2[4](vec2(-0.125, -0.375), vec2(0.375, -0.125), vec2(-0.375, 0.125), vec2(0.125, 0.375));
 
 void main() {
   vec2 dx = dFdx(v_uv), dy = dFdy(v_uv);
   // Each point stands for half the pixel's width: a coarser level where that spans more than a texel.
   int level = clamp(int(0.5 * log2(max(max(dot(dx, dx), dot(dy, dy)), 1e-12)) - 0.5), 0, 3);
   ivec2 low = v_rect.xy, high = v_rect.xy + v_rect.zw - 1;
-  int covered = 0, nearest = 0;
+  int covered = 0, nearest = 0, mask = 0;
   vec3 color = vec3(0.0);
   for (int k = 0; k < 4; k++) {
     ivec2 texel = clamp(ivec2(floor(v_uv + POINT[k].x * dx + POINT[k].y * dy)), low, high) >> level;
@@ -35,6 +40,11 @@ void main() {
     int a = int(found.a * 255.0 + 0.5);
     if (a == 0) continue;
     int quarters = ((a - 1) & 3) + 1;
+#ifdef SAMPLE_MASK
+    if (((k * 3) & 3) >= quarters) continue; // as many of the samples in a texel as its share
+    mask |= 1 << k;
+    quarters = 4;
+#endif
     covered += quarters;
     color += float(quarters) * found.rgb;
     nearest = max(nearest, (a - 1) >> 2);
@@ -47,6 +57,9 @@ void main() {
   float distance_scaled = dot(v_point + scale * v_offset, u_forward);
   gl_FragDepth = distance_scaled > 0.0 ? clamp(u_depth.x + u_depth.y * scale / distance_scaled, 0.0, 1.0) : 0.0;
 
+#ifdef SAMPLE_MASK
+  gl_SampleMask[0] = u_mode == 2 ? -1 : mask;
+#endif
   if (u_mode == 2) {
     if (covered < 8) discard;
     o_color = vec4(vec3(v_ids.z & 255, (v_ids.z >> 8) & 255, v_ids.z >> 16) / 255.0, 1.0);
@@ -54,5 +67,9 @@ void main() {
   }
   color /= float(covered);
   if (u_mode == 1) color = mix(color, u_tints[v_ids.y & 3], 0.62);
+#ifdef SAMPLE_MASK
+  o_color = vec4(color, 1.0);
+#else
   o_color = vec4(color, float(covered) / 16.0); // alpha becomes coverage
+#endif
 }
