@@ -19,7 +19,7 @@ _MADE_UP = {
     "scope": "submit", "limit": 4096, "what": "jobs", "used": 100, "n_jobs": 2, "name": "harbour", "headers": {}, "wait_s": 7,
     "tenant": "9e8d7c6b5a493827", "webhook": "0a1b2c3d4e5f6071", "delivery": "0a1b2c3d4e5f6071", "device": "0a1b2c3d4e5f6071",
     "placement": "town", "path": "manifest.json", "message": "it is empty", "code": "SceneEmpty", "advice": "Look at the export.",
-    "most": 64, "upload": "0a1b2c3d4e5f6071",
+    "most": 64, "upload": "0a1b2c3d4e5f6071", "seconds": 60, "offset": 0, "received": 33_554_432,
 }  # fmt: skip
 EVERYWHERE = (ours.KeyMissing, ours.KeyUnknown, ours.ScopeMissing, ours.TenantRefused, ours.RateLimited)
 CHANGES = (ours.CsrfMissing,)
@@ -48,7 +48,7 @@ def add_refusal(responses: dict[int | str, dict[str, Any]], cls: type[FarfieldEr
 def _example(cls: type[FarfieldError], status: int) -> dict[str, Any]:
     parameters = list(inspect.signature(cls.__init__).parameters.values())[1:]
     plain = cls.__init__ is Exception.__init__ or any(p.kind is p.VAR_POSITIONAL for p in parameters)
-    values = [_MADE_UP.get(p.name, "it") for p in parameters if p.default is p.empty]
+    values = [_MADE_UP.get(p.name, 7 if p.annotation in (int, float) else "it") for p in parameters if p.default is p.empty]
     error = cls("why it was refused") if plain else cls(*values)
     body = {"type": f"urn:farfield:error:{cls.__name__}", "title": cls.__name__, "status": status, "code": cls.__name__}
     return {**body, "detail": str(error), "advice": error.advice}

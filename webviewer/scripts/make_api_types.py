@@ -47,7 +47,7 @@ def typescript(openapi: dict[str, Any]) -> str:
         f'  | "{method.upper()} {path}"'
         for path, methods in sorted(openapi["paths"].items())
         for method in sorted(methods)
-        if method in ("get", "post", "put", "delete", "head")
+        if method in ("get", "post", "put", "patch", "delete", "head")
     ]
     parts.append("/** Every route; the client names no other. */\nexport type Route =\n" + "\n".join(routes) + ";")
     return "\n\n".join(parts) + "\n"

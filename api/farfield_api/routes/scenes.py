@@ -62,7 +62,8 @@ def list_scenes(
 ) -> ScenePageReply:
     rows = scenes.page(service.engine, caller.tenant_id, before=read_cursor(cursor), limit=limit + 1, name=name)
     rows, following = cut(rows, limit, key="digest")
-    return ScenePageReply(scenes=[SceneReply(**_shown(row)) for row in rows], next=following)
+    listed = [{k: v for k, v in _shown(row).items() if k != "suggested"} for row in rows]  # which may be long
+    return ScenePageReply(scenes=[SceneReply(**shown) for shown in listed], next=following)
 
 
 @router.head(
@@ -97,7 +98,8 @@ def objects(digest: Digest, caller: Reader, service: Service) -> Response:
 
 @router.get(
     "/{digest}/picture", summary="The scene from above, north (-z) up, as PNG", response_class=Response,
-    responses={200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}},
+    responses={200: {"description": "the picture",
+                     "content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}, **_NOT_FOUND},
 )  # fmt: skip
 def picture(digest: Digest, caller: Reader, service: Service) -> Response:
     row = scenes.get(service.engine, caller.tenant_id, digest)

@@ -7,7 +7,7 @@ from base64 import b64decode, b64encode
 from binascii import Error as NotBase64
 from collections.abc import Callable, Coroutine
 from email.utils import formatdate
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import sqlalchemy as sa
 from farfield.errors import FarfieldError
@@ -18,7 +18,9 @@ from starlette.concurrency import run_in_threadpool
 
 from farfield_api import resumable
 from farfield_api.auth import Reader, Submitter
+from farfield_api.documented import refusals
 from farfield_api.errors import RESPONSES, TusVersionUnknown, UploadHeaderInvalid, UploadTooLarge, UploadTypeUnknown
+from farfield_api.replies.uploads import UploadLinks, UploadListReply, UploadProblem, UploadReply
 from farfield_api.state import Service
 from farfield_api.times import iso
 from farfield_api.upload import plain_name
@@ -54,6 +56,7 @@ def _version(tus_resumable: Annotated[str | None, Header(description="1.0.0")] =
 
 Tus = Depends(_version)
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"], responses=RESPONSES, route_class=TusRoute)
+_NONE = refusals("UploadNotFound")
 _PIECE_BODY = {
     "requestBody": {"content": {PIECE: {"schema": {"type": "string", "format": "binary"}}}, "required": False}
 }
@@ -70,6 +73,8 @@ def options(response: Response, caller: Reader, service: Service) -> None:
 @router.post(
     "", status_code=201, dependencies=[Tus], max_body_size=UNLIMITED, openapi_extra=_PIECE_BODY, response_class=Response,
     summary="Start an upload; the answer's Location is where its bytes go",
+    responses={201: {"description": "started", "content": {}},
+               **refusals("TusVersionUnknown", "UploadHeaderInvalid", "UploadTooLarge", "UploadsTooMany", "StoreFull")},
 )  # fmt: skip
 async def create(
     request: Request,
@@ -110,19 +115,23 @@ def list_uploads(
     service: Service,
     sha256: Annotated[str | None, Query(pattern=SHA256, description="only those of the file with this digest")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-) -> dict[str, Any]:
+) -> UploadListReply:
     rows = uploads.page(service.engine, caller.tenant_id, digest=sha256, limit=limit)
-    return {"uploads": [_shown(row) for row in rows]}
+    return UploadListReply(uploads=[_shown(row) for row in rows])
 
 
-@router.get("/{upload_id}", summary="How far an upload is, and the scene that it became or why it was refused")
-def show(upload_id: str, caller: Reader, service: Service) -> dict[str, Any]:
+@router.get(
+    "/{upload_id}", summary="How far an upload is, and the scene that it became or why it was refused", responses=_NONE
+)
+def show(upload_id: str, caller: Reader, service: Service) -> UploadReply:
     return _shown(uploads.get(service.engine, caller.tenant_id, upload_id))
 
 
 @router.head(
     "/{upload_id}", dependencies=[Tus], response_class=Response,
     summary="How many bytes have arrived: Upload-Offset; 410 for a file that was refused",
+    responses={200: {"description": "going on", "content": {}}, 410: {"description": "the file was refused", "content": {}},
+               **refusals("UploadNotFound", "TusVersionUnknown")},
 )  # fmt: skip
 def head(upload_id: str, caller: Reader, service: Service) -> Response:
     row = uploads.get(service.engine, caller.tenant_id, upload_id)
@@ -134,6 +143,11 @@ def head(upload_id: str, caller: Reader, service: Service) -> Response:
 @router.patch(
     "/{upload_id}", status_code=204, dependencies=[Tus], max_body_size=UNLIMITED, openapi_extra=_PIECE_BODY,
     response_class=Response, summary="Add the bytes from Upload-Offset on; with the last one the scene is read",
+    responses=refusals(
+        "UploadNotFound", "TusVersionUnknown", "UploadHeaderInvalid", "UploadTypeUnknown", "UploadOffsetWrong",
+        "UploadTooLarge", "UploadBusy", "UploadStalled", "UploadChecksumWrong", "UploadAltered", "SceneUnreadable",
+        "SceneOverLimit", "StoreFull", "QuotaExceeded",
+    ),
 )  # fmt: skip
 async def add(
     upload_id: str,
@@ -156,7 +170,10 @@ async def add(
     return Response(status_code=204, headers=_headers(row))
 
 
-@router.delete("/{upload_id}", status_code=204, dependencies=[Tus], summary="Give an upload up; its bytes are removed")
+@router.delete(
+    "/{upload_id}", status_code=204, dependencies=[Tus], summary="Give an upload up; its bytes are removed",
+    responses=refusals("UploadNotFound", "TusVersionUnknown"),
+)  # fmt: skip
 def remove(upload_id: str, caller: Submitter, service: Service) -> None:
     resumable.forget(service, uploads.get(service.engine, caller.tenant_id, upload_id).id)
 
@@ -180,21 +197,12 @@ def _headers(row: sa.Row[Any]) -> dict[str, str]:
     return told
 
 
-def _shown(row: sa.Row[Any]) -> dict[str, Any]:
-    state = (
-        "refused"
-        if row.refusal
-        else "done"
-        if row.scene_digest
-        else "reading"
-        if row.received == row.n_bytes
-        else "open"
-    )
-    links = {"self": f"/v1/uploads/{row.id}"}
-    if row.scene_digest is not None:
-        links["scene"] = f"/v1/scenes/{row.scene_digest}"
-    return {
-        "id": row.id, "name": row.name, "state": state, "bytes": row.n_bytes, "received": row.received,
-        "sha256": row.digest, "scene": row.scene_digest, "problem": row.refusal, "created_at": iso(row.created_at),
-        "expires_at": iso(row.expires_at), "links": links,
-    }  # fmt: skip
+def _shown(row: sa.Row[Any]) -> UploadReply:
+    waits: Literal["reading", "open"] = "reading" if row.received == row.n_bytes else "open"
+    scene = f"/v1/scenes/{row.scene_digest}" if row.scene_digest is not None else None
+    return UploadReply(
+        id=row.id, name=row.name, state="refused" if row.refusal else "done" if row.scene_digest else waits,
+        bytes=row.n_bytes, received=row.received, sha256=row.digest, scene=row.scene_digest,
+        problem=UploadProblem(**row.refusal) if row.refusal else None, created_at=iso(row.created_at),
+        expires_at=iso(row.expires_at), links=UploadLinks(self=f"/v1/uploads/{row.id}", scene=scene),
+    )  # fmt: skip

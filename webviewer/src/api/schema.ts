@@ -534,6 +534,42 @@ export interface TenantRequest {
   name: string;
 }
 
+export interface UploadLinks {
+  self: string;
+  scene: string | null;
+}
+
+export interface UploadListReply {
+  uploads: UploadReply[];
+}
+
+export interface UploadProblem {
+  status: number;
+  code: string;
+  detail: string;
+  advice: string;
+}
+
+export interface UploadReply {
+  id: string;
+  name: string;
+  /** reading: all bytes have arrived; where nobody reads, a PATCH without bytes makes somebody */
+  state: "open" | "reading" | "done" | "refused";
+  bytes: number;
+  /** bytes that survive a power cut: where to go on */
+  received: number;
+  /** what the sender announced */
+  sha256: string | null;
+  /** the digest of the scene that it became */
+  scene: string | null;
+  problem: UploadProblem | null;
+  /** RFC 3339, UTC */
+  created_at: string;
+  /** RFC 3339, UTC */
+  expires_at: string;
+  links: UploadLinks;
+}
+
 export interface UsageReply {
   tenant: string;
   /** of its scenes, results and intermediate results, each once */
@@ -643,11 +679,13 @@ export type Route =
   | "DELETE /v1/uploads/{upload_id}"
   | "GET /v1/uploads/{upload_id}"
   | "HEAD /v1/uploads/{upload_id}"
+  | "PATCH /v1/uploads/{upload_id}"
   | "GET /v1/usage"
   | "GET /v1/webhooks"
   | "POST /v1/webhooks"
   | "DELETE /v1/webhooks/{webhook_id}"
   | "GET /v1/webhooks/{webhook_id}"
+  | "PATCH /v1/webhooks/{webhook_id}"
   | "GET /v1/webhooks/{webhook_id}/deliveries"
   | "POST /v1/webhooks/{webhook_id}/deliveries/{delivery_id}/redeliver"
   | "POST /v1/webhooks/{webhook_id}/rotate"
