@@ -38,6 +38,7 @@ serve: setup ## start the service: API, workers, viewer, dashboard
 test: setup ## run all tests
 	@sh infra/setup/system.sh chromium
 	@sh infra/setup/system.sh postgresql || echo "Without PostgreSQL: the tests that need one are skipped." >&2
+	@sh infra/setup/system.sh prometheus || echo "Without promtool: the test that needs it is skipped." >&2
 	@cd webviewer && $(NPM) test --silent
 	@$(VENV)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
