@@ -86,8 +86,8 @@ class Postgres:
 
 
 @contextmanager
-def run_postgres(listen: str = "127.0.0.1") -> Iterator[Postgres]:
-    """Run a server of our own, as nobody where we are root, which it refuses to be."""
+def run_postgres(listen: str = "127.0.0.1", network: str = "") -> Iterator[Postgres]:
+    """Run a server of our own, as nobody where we are root, which it refuses to be; `network` may ask it, too."""
     programs = _programs()
     if programs is None:
         pytest.skip("no PostgreSQL server is installed: sh infra/setup/system.sh postgresql")
@@ -105,9 +105,9 @@ def run_postgres(listen: str = "127.0.0.1") -> Iterator[Postgres]:
         initdb = [programs / "initdb", "-D", data, "-U", "farfield", "-A", "scram-sha-256", "--no-sync",
                   f"--pwfile={folder / 'password'}", "-E", "UTF8", "--no-locale"]  # fmt: skip
         subprocess.run(initdb, check=True, capture_output=True, cwd="/", **as_user)
-        if listen != "127.0.0.1":
+        if network:
             with (data / "pg_hba.conf").open("a") as file:
-                file.write("host all all samenet scram-sha-256\n")
+                file.write(f"host all all {network} scram-sha-256\n")
         options = {**_POSTGRES, "listen_addresses": listen, "port": port, "unix_socket_directories": folder}
         words = [word for name, value in options.items() for word in ("-c", f"{name}={value}")]
         with log.open("wb") as out:
