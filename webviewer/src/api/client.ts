@@ -1,5 +1,5 @@
 /** The API over fetch: same-origin cookie, CSRF token on what changes something, problems as errors with advice. */
-import type { JobRequest, Opening, Problem, Route } from "./schema";
+import type { JobRequest, Opening, Problem, Route, UploadListReply, UploadReply } from "./schema";
 import type { EventPage, JobDetail, JobPage, JobState, Scene, SceneObjects, Session, ShardPage } from "./types";
 
 /** The service said no: what is wrong, what to do, and which setting it is about. */
@@ -136,4 +136,22 @@ export async function findScene(digest: string): Promise<Scene | null> {
     throw error;
   }
 }
+/** Files on their way in that have this digest, those with most bytes first. */
+export const findUploads = async (digest: string): Promise<UploadReply[]> =>
+  (await json<UploadListReply>("GET /v1/uploads", { query: { sha256: digest } })).uploads;
+export const readUpload = (id: string, signal: AbortSignal): Promise<UploadReply> =>
+  json("GET /v1/uploads/{upload_id}", { path: { upload_id: id }, signal });
+
+/** Starts an upload (tus 1.0.0); the service knows what the file shall be when it has all of it. */
+export async function startUpload(file: File, digest: string, signal: AbortSignal): Promise<UploadReply> {
+  const base64 = (text: string): string => btoa(String.fromCharCode(...new TextEncoder().encode(text)));
+  const headers = {
+    "tus-resumable": "1.0.0", "upload-length": String(file.size),
+    "upload-metadata": `filename ${base64(file.name.slice(-255))},sha256 ${base64(digest)}`,
+  };
+  const response = await ask("POST /v1/uploads", { headers, signal });
+  if (!response.ok) throw await problemOf(response);
+  return readUpload(response.headers.get("location")!.split("/").pop()!, signal);
+}
+
 export const readObjects = (digest: string): Promise<SceneObjects> => json("GET /v1/scenes/{digest}/objects", { path: { digest } });

@@ -145,7 +145,12 @@ export interface Scene {
   materials?: number;
   textures?: number;
   dropped_triangles?: number;
+  texture_bytes?: number;
+  texture_pixels?: number;
+  replaceable?: number;
   suggested?: Suggestion;
+  /** `picture`: PNG from above, -z up; null for a scene that is too large to draw quickly. */
+  links?: { self: string; objects: string; picture: string | null };
 }
 
 export interface Suggestion {
