@@ -35,6 +35,7 @@ class Restorer:
 
     def __init__(self, engine: sa.Engine, artifacts: Artifacts, calling: Calling, computing: Computing) -> None:
         self.engine, self.artifacts, self.calling, self.computing = engine, artifacts, calling, computing
+        self._at_work: list[str] = []
 
     def mending(self, do: Callable[[], T], job_id: str) -> T:
         """Return what `do` returns, done again after each artifact that it lacked. Raises ArtifactLost."""
@@ -51,8 +52,8 @@ class Restorer:
         made = patiently(lambda: shards.made(self.engine, digest, job_id))
         if damaged:
             self.artifacts.remove(digest)
-        if made is None or made.kind == "report":
-            what = "the uploaded file" if made is None else "the report"
+        if made is None or made.kind == "report" or digest in self._at_work:  # or it would be made of itself
+            what = "the report" if made is not None and made.kind == "report" else "the uploaded file"
             raise ArtifactLost(f"{what} {digest} is {'damaged' if damaged else 'missing'} and cannot be computed again")
 
         def compute() -> None:
@@ -67,4 +68,8 @@ class Restorer:
                     )
                 self.artifacts.put_file(folder / "artifact", digest)
 
-        self.mending(compute, job_id)
+        self._at_work.append(digest)
+        try:
+            self.mending(compute, job_id)
+        finally:
+            self._at_work.pop()
