@@ -548,7 +548,7 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.PLACEMENT, version=7, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
-        Step(stage=Stage.BAKE, version=4, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
+        Step(stage=Stage.BAKE, version=5, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge,
              reads=(_CAMERA, _QUALITY, "placement.candidates", "placement.far_m")),
         Step(stage=Stage.REPAIR, version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
