@@ -125,7 +125,7 @@ def test_a_level_is_sent_placed_and_reported(page, service):
 def test_a_known_file_is_not_sent_again(page, service):
     sign_in(page, service)
     sent = []
-    page.on("request", lambda r: r.method == "POST" and r.url.endswith("/v1/scenes") and sent.append(r.url))
+    page.on("request", lambda r: r.method == "POST" and r.url.endswith("/v1/uploads") and sent.append(r.url))
     for _ in range(2):
         page.set_input_files("#new input[type=file]", level("twice.glb", salt=1))
         page.wait_for_selector("text=Start job")
