@@ -41,10 +41,10 @@ def make_hosts() -> None:
     for i, name in enumerate(("one", "two"), 1):
         host = f"{TAG}-{name}"
         ip("netns", "add", host)
-        ip("-n", f"{TAG}-hub", "link", "add", name, "type", "veth", "peer", "name", "up", "netns", host)
+        ip("-n", f"{TAG}-hub", "link", "add", name, "type", "veth", "peer", "name", "uplink", "netns", host)
         ip("-n", f"{TAG}-hub", "address", "add", f"10.77.{i}.1/24", "dev", name)
-        ip("-n", host, "address", "add", f"10.77.{i}.2/24", "dev", "up")
-        for where, link in ((f"{TAG}-hub", name), (host, "up"), (host, "lo")):
+        ip("-n", host, "address", "add", f"10.77.{i}.2/24", "dev", "uplink")
+        for where, link in ((f"{TAG}-hub", name), (host, "uplink"), (host, "lo")):
             ip("-n", where, "link", "set", link, "up")
         ip("-n", host, "route", "add", "default", "via", f"10.77.{i}.1")
 
