@@ -66,6 +66,33 @@ def test_a_turned_object_turns_its_normals():
     assert (np.abs(texels[texels[..., 3] > 0][:, :3].astype(int) - expected) <= 1).all()
 
 
+def test_no_light_falls_on_an_unlit_wall():
+    wall = Panel(low=(-10, 0, -40), u=(20, 0, -3), v=(0, 10, 0))
+    scene = panel_scene([wall], base_color=[(0.5, 0.3, 0.2, 1)])
+    texels = naive_bake.layer_texels(bake(dataclasses.replace(scene, material_unlit=np.array([True]))), 0)
+    assert (texels[texels[..., 3] > 0][:, :3] == encode_srgb(np.array([0.5, 0.3, 0.2]))).all()
+    assert (naive_bake.layer_texels(bake(scene), 0)[..., :3] != texels[..., :3]).any()
+
+
+def test_an_emissive_texture_glows_where_its_own_coordinates_put_it():
+    """Black and white halves, laid on across: the upper half of the wall glows, the lower is only lit."""
+    wall = Panel(low=(-8, 0, -40), u=(16, 0, 0), v=(0, 16, 0))
+    image = np.zeros((4, 4, 4), np.uint8)
+    image[:, 2:, :3], image[..., 3] = 255, 255
+    scene = panel_scene([wall], base_color=[(0.5, 0.5, 0.5, 1)], texture=[-1], images=[image], linear=False)
+    scene = dataclasses.replace(
+        scene, material_emissive=np.array([[0.0, 0.0, 0.25]], np.float32), material_emissive_texture=np.array([0], np.int32),
+        emissive_uv=np.array([[0, 0], [0, 1], [1, 1], [1, 0]], np.float32),
+    )  # fmt: skip
+    texels = naive_bake.layer_texels(bake(scene), 0)
+    lit = 0.5 * light(np.array([0.0, 0, 1]))
+    third = len(texels) // 3
+    for rows, glow in ((texels[:third], 0.0), (texels[-third:], 0.25)):
+        shown = rows[rows[..., 3] > 0][:, :3].astype(int)
+        assert len(shown) > 100
+        assert (np.abs(shown - encode_srgb(lit + np.array([0, 0, glow]))) <= 1).all()
+
+
 def test_mip_levels_average_light_not_bytes():
     image = np.zeros((6, 10, 4), np.uint8)
     image[:, 0::2, :3], image[..., 3] = 255, 255
