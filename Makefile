@@ -9,7 +9,7 @@ IMAGE_LOCKS := build api reader worker baker
 WEB_SOURCES := $(shell find webviewer -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 export PATH := $(NODE):$(PATH)
 
-.PHONY: help setup demo serve test accept check bench lock clean
+.PHONY: help setup demo serve test chaos accept check bench lock clean
 help: ## list the chores
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
 
@@ -41,6 +41,10 @@ test: setup ## run all tests
 	@sh infra/setup/system.sh prometheus || echo "Without promtool: the test that needs it is skipped." >&2
 	@cd webviewer && $(NPM) test --silent
 	@$(VENV)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+chaos: setup ## disturb the service in 50 runs: kill, stop, cut off, fill, damage (tests/chaos)
+	@sh infra/setup/system.sh postgresql
+	@$(VENV)/python -m pytest tests/chaos --chaos -s
 
 accept: setup ## run the whole demo, check it and print its figures
 	@sh infra/setup/system.sh chromium

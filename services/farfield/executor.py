@@ -51,9 +51,9 @@ class _Paths:
     artifacts: dict[Stage, Path]
     digests: dict[Stage, str]
 
-    def inputs(self, step: Step) -> Inputs:
+    def inputs(self, step: Step, checkpoint: Path | None = None) -> Inputs:
         mapped = {stage: map_file(self.artifacts[stage]) for stage in step.inputs}
-        return Inputs(self.settings, mapped, self.digests, self.scene_file)
+        return Inputs(self.settings, mapped, self.digests, self.scene_file, checkpoint)
 
 
 def map_file(path: Path) -> Any:
@@ -104,7 +104,9 @@ def _plan(stage: Stage, paths: _Paths) -> tuple[str | None, list[Shard], int]:
 def _run(stage: Stage, paths: _Paths, shard: Shard, out: Path) -> int:
     reset_peak()
     step = STEPS[stage]
-    write_parts(step.run(paths.inputs(step), shard), out)
+    checkpoint = _checkpoint(out)
+    write_parts(step.run(paths.inputs(step, checkpoint), shard), out)
+    checkpoint.unlink(missing_ok=True)
     return peak_bytes()
 
 
@@ -112,8 +114,15 @@ def _merge(stage: Stage, paths: _Paths, pieces: list[Path], out: Path) -> int:
     reset_peak()
     step = STEPS[stage]
     assert step.merge is not None
-    write_parts(step.merge(paths.inputs(step), [map_file(piece) for piece in pieces]), out)
+    checkpoint = _checkpoint(out)
+    write_parts(step.merge(paths.inputs(step, checkpoint), [map_file(piece) for piece in pieces]), out)
+    checkpoint.unlink(missing_ok=True)
     return peak_bytes()
+
+
+def _checkpoint(out: Path) -> Path:
+    """Return where a killed run's successor looks: beside the artifact, whose name tells all that shapes it."""
+    return out.with_suffix(".checkpoint")
 
 
 def _end_with_parent() -> None:

@@ -12,7 +12,7 @@ from benchmarks.measure import Row, as_csv, as_table, line
 from farfield.stages import Stage
 
 HERE = Path(__file__).parent
-_ORDER: list[str] = [*Stage]
+_ORDER: list[str] = [*Stage, "service"]
 _ORDER.insert(_ORDER.index(Stage.CANDIDATES), "impostor")  # the leaf that candidates stands on
 _ROWS = pytest.StashKey[list[Row]]()
 

@@ -38,6 +38,10 @@ def audit(cluster: Cluster, job_id: str, expected: dict[str, str]) -> list[dict[
     assert set(done.values()) == {1}, f"shards ended twice: {[s for s, n in done.items() if n > 1]}"
     assert set(done) == {(s.name, h.kind, h.ordinal) for s in stages for h in shards if h.stage_id == s.id}
     assert {h.state for h in shards} == {"done"}
+    over = [
+        (h.kind, h.need_bytes >> 20, h.peak_bytes >> 20) for h in shards if h.need_bytes and h.peak_bytes > h.need_bytes
+    ]
+    assert not over, f"shards took more memory than they had stated: {over}"
 
     for s in stages:
         mine = [h for h in shards if h.stage_id == s.id and h.kind == "run"]

@@ -17,6 +17,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import httpx
+import psutil
 import sqlalchemy as sa
 from farfield.executor import THREADS
 from farfield.store import progress, tenants
@@ -34,7 +35,9 @@ STORE_BYTES = 256 << 20
 class Cluster:
     """A running service under `folder`; `children` by name: broker, api, reconciler, worker-0, worker-1."""
 
-    def __init__(self, folder: Path, database_url: str, artifacts: Path, *, lease_s: float, workers: int) -> None:
+    def __init__(
+        self, folder: Path, database_url: str, artifacts: Path, *, lease_s: float, workers: int, more: dict[str, str]
+    ) -> None:  # fmt: skip
         self.folder, self.artifacts, self.database_url = folder, artifacts, database_url
         self.engine = open_engine(database_url)
         migrate(self.engine, MIGRATIONS)
@@ -47,7 +50,7 @@ class Cluster:
             **THREADS, "FARFIELD_DATABASE_URL": database_url, "FARFIELD_BROKER_URL": f"redis+socket://{self.broker_path}",
             "FARFIELD_ARTIFACTS": str(artifacts), "FARFIELD_SECRET": secrets.token_hex(16), "FARFIELD_LEASE_S": str(lease_s),
             "FARFIELD_RENEW_S": str(lease_s / 8), "FARFIELD_FD": str(self.listening.fileno()), "FARFIELD_PLACEMENTS": "{}",
-            "FARFIELD_MEMORY_BYTES": "off",
+            "FARFIELD_MEMORY_BYTES": "off", **more,
         }  # fmt: skip
         self.children: dict[str, Child] = {"broker": self._child("broker", command)}
         self.children["broker"].start()
@@ -121,6 +124,14 @@ class Cluster:
             told.append("\n".join([f"--- {name} ({'runs' if self.pid(name) else 'is dead'})", *text]))
         return "\n".join(told)
 
+    def cpu_seconds(self) -> float:
+        """Return the processor time of all processes that run, and of those that they have waited for."""
+        total = 0.0
+        for name in self.children:
+            if (pid := self.pid(name)) is not None:
+                total += sum(psutil.Process(pid).cpu_times()[:4])
+        return total
+
     def stop(self) -> None:
         self._ended.set()
         self._thread.join()
@@ -148,8 +159,8 @@ def small_disk(folder: Path) -> Iterator[bool]:
 
 
 @contextmanager
-def run_cluster(kind: str, *, lease_s: float = LEASE_S, workers: int = 2) -> Iterator[Cluster]:
-    """Run a service of `kind` "sqlite" or "postgresql"; skips where PostgreSQL is not installed."""
+def run_cluster(kind: str, *, lease_s: float = LEASE_S, workers: int = 2, **more: str) -> Iterator[Cluster]:
+    """Run a service of `kind` "sqlite" or "postgresql"; skips where PostgreSQL is not installed. `more`: environment."""
     with ExitStack() as stack:
         folder = Path(tempfile.mkdtemp(prefix="farfield-chaos-"))
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -159,7 +170,7 @@ def run_cluster(kind: str, *, lease_s: float = LEASE_S, workers: int = 2) -> Ite
             url = stack.enter_context(run_postgres()).new()
         store = folder / "store"
         small = stack.enter_context(small_disk(store))
-        cluster = Cluster(folder, url, store, lease_s=lease_s, workers=workers)
+        cluster = Cluster(folder, url, store, lease_s=lease_s, workers=workers, more=more)
         cluster.small_disk = small
         stack.callback(cluster.stop)
         yield cluster

@@ -1,11 +1,20 @@
 """`farfield place --cache DIR`: what changed is done again, what did not is not, and the bytes are those of a fresh run."""
 
 import json
+import shutil
+import subprocess
+import sys
+import time
+import tomllib
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
 import pytest
 from browser.levels import box_level
+from farfield.executor import Executor
+from farfield.placement.checkpoint import Checkpoint
+from farfield.settings import from_mapping
 from farfield.stages import Stage
 
 SETTINGS = """budget = "{budget}"
@@ -78,3 +87,53 @@ def test_only_what_depends_on_the_change_runs_again(cached: Path, run, files_of,
         assert fresh.code == 0, fresh.err
         assert files_of(tmp_path / "again" / "placement") == files_of(tmp_path / "fresh" / "placement")
     assert json.loads((tmp_path / "again" / "report.json").read_text())["verdict"] == "valid"
+
+
+def test_a_killed_job_goes_on_from_what_it_left_in_the_cache(cached: Path, run, files_of, tmp_path):
+    words = [cached / "row.glb", "--settings", cached / "row.toml", "--cache", tmp_path / "cache", "--workers", 1]
+    command = [sys.executable, "-m", "farfield.cli.main", "place", *words, "--out", tmp_path / "out"]
+    with subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL) as killed:
+        end = time.monotonic() + 120
+        while not list(tmp_path.glob("cache/candidates/*.ffc")) and killed.poll() is None and time.monotonic() < end:
+            time.sleep(0.02)
+        killed.kill()
+    assert not (tmp_path / "out" / "report.json").exists()
+    ran = run("place", *words, "--json", "--out", tmp_path / "out")
+    assert ran.code == 0, ran.err
+    reused = {s["name"] for s in ran.document["stages"] if s["reused"]}
+    assert {"hierarchy", "rendertime", "viewspace"} <= reused
+    assert files_of(tmp_path / "out" / "placement") == files_of(cached / "first" / "placement")
+
+
+def test_a_killed_optimizer_goes_on_from_its_checkpoint_in_the_cache(cached: Path, tmp_path, monkeypatch):
+    shutil.copytree(cached / "cache", tmp_path / "cache")
+    (left,) = (tmp_path / "cache" / "placement").glob("*.ffc")
+    expected = left.read_bytes()
+    left.unlink()
+    checkpoint = left.with_suffix(".checkpoint")
+    checkpoint.write_bytes(b"cut off")  # one that cannot be read is none
+    read = []
+    plain = Checkpoint.read
+
+    def reading(self, n_candidates):
+        read.append(self.path)
+        return plain(self, n_candidates)
+
+    monkeypatch.setattr(Checkpoint, "read", reading)
+    settings = from_mapping(tomllib.loads((cached / "row.toml").read_text()))
+    work = tmp_path / "work"
+    work.mkdir()
+    told = lambda *_: None  # noqa: E731
+    with Executor(cached / "row.glb", settings, work, workers=1, progress=told, cache=tmp_path / "cache") as executor:
+        monkeypatch.setattr(executor, "_submit", lambda f, stage, *more: _at_once(f, stage, executor.paths, *more))
+        for stage in list(Stage)[: list(Stage).index(Stage.PLACEMENT) + 1]:
+            executor.run(stage)
+    assert read == [checkpoint]
+    assert left.read_bytes() == expected
+    assert not checkpoint.exists()
+
+
+def _at_once(function, *arguments):
+    done = Future()
+    done.set_result(function(*arguments))
+    return done
