@@ -15,7 +15,7 @@ Requests are sent again where the connection fails: what comes twice is done onc
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,6 +27,7 @@ from farfield.sending import send_file
 
 TRIES = 5
 PAGE = 100  # jobs a request
+LONGEST_S = 60  # that we wait because the service asks for it
 ENDED = ("done", "failed", "cancelled")
 
 Sent = Callable[[int], object]  # told the bytes of each piece that went or came
@@ -92,14 +93,26 @@ class Client:
         """Return what the service says of a scene."""
         return self._get(f"/v1/scenes/{digest}")
 
+    def scenes(self, *, name: str | None = None) -> Iterator[dict[str, Any]]:
+        """Yield all scenes, newest first; `name`: with this in their name."""
+        yield from self._pages("/v1/scenes", "scenes", {"name": name})
+
+    def delete_scene(self, digest: str, *, dry_run: bool = False) -> dict[str, Any]:
+        """Delete a scene that no job needs; return what goes with it. `dry_run`: only say so."""
+        return self._read(self._request("DELETE", f"/v1/scenes/{digest}", params={"dry_run": dry_run}))
+
     # jobs
 
     def create_job(
         self, scene: str, settings: Mapping[str, Any], *, idempotency_key: str, name: str | None = None,
-        priority: str = "normal",
+        priority: str = "normal", webhook: str | None = None,
     ) -> dict[str, Any]:  # fmt: skip
-        """Start a job for the scene with this digest; the same key again is the same job. `priority`: high, normal, low."""
-        body = {"scene": scene, "settings": dict(settings), "name": name, "priority": priority}
+        """Start a job for the scene with this digest; the same key again is the same job.
+
+        priority  high, normal or low
+        webhook   id of one that is told of this job
+        """
+        body = {"scene": scene, "settings": dict(settings), "name": name, "priority": priority, "webhook": webhook}
         headers = {"idempotency-key": idempotency_key}
         return self._read(self._request("POST", "/v1/jobs", json=body, headers=headers))
 
@@ -107,15 +120,48 @@ class Client:
         """Return the job: state, stages, verdict, links."""
         return self._get(f"/v1/jobs/{job}")
 
-    def jobs(self, *, state: str | None = None) -> Iterator[dict[str, Any]]:
-        """Yield all jobs, newest first, in that state where one is given."""
-        query: dict[str, Any] = {"limit": PAGE, **({"state": state} if state else {})}
-        while True:
-            page = self._get("/v1/jobs", query)
-            yield from page["jobs"]
-            if page["next"] is None:
-                return
-            query["cursor"] = page["next"]
+    def jobs(
+        self, *, state: str | None = None, scene: str | None = None, verdict: str | None = None, name: str | None = None
+    ) -> Iterator[dict[str, Any]]:
+        """Yield all jobs, newest first: in that state, of that scene, with that verdict, with this in their name."""
+        yield from self._pages("/v1/jobs", "jobs", {"state": state, "scene": scene, "verdict": verdict, "name": name})
+
+    def wait(self, job: str) -> dict[str, Any]:
+        """Return the job once it has ended."""
+        for _ in self.events(job):
+            pass
+        return self.job(job)
+
+    def delete(self, job: str, *, dry_run: bool = False) -> dict[str, Any]:
+        """Delete a job that has ended; return what goes with it. `dry_run`: only say so."""
+        return self._read(self._request("DELETE", f"/v1/jobs/{job}", params={"dry_run": dry_run}))
+
+    def curve(self, job: str) -> dict[str, Any]:
+        """Return what a larger budget would need, of a job that is done."""
+        return self._get(f"/v1/jobs/{job}/curve")
+
+    def usage(self) -> dict[str, Any]:
+        """Return what the tenant has, and how much it may have."""
+        return self._get("/v1/usage")
+
+    # webhooks; their deliveries are checked with farfield.webhooks.verify
+
+    def create_webhook(
+        self, url: str, *, name: str, every_job: bool = False, events: Sequence[str] = ENDED
+    ) -> dict[str, Any]:
+        """Register an address; the answer holds its `id` and, this once, its `secret`."""
+        body = {"url": url, "name": name, "every_job": every_job, "events": list(events)}
+        return self._read(self._request("POST", "/v1/webhooks", json=body))
+
+    def webhooks(self) -> Iterator[dict[str, Any]]:
+        """Yield all webhooks, newest first."""
+        yield from self._pages("/v1/webhooks", "webhooks", {})
+
+    def delete_webhook(self, webhook: str) -> None:
+        """Delete a webhook and what waits for it."""
+        answer = self._request("DELETE", f"/v1/webhooks/{webhook}")
+        if not answer.is_success:
+            self._read(answer)
 
     def cancel(self, job: str) -> dict[str, Any]:
         """Stop the job; what is done stays."""
@@ -230,11 +276,20 @@ class Client:
 
     # requests
 
+    def _pages(self, path: str, key: str, wanted: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        query = {"limit": PAGE, **{name: value for name, value in wanted.items() if value is not None}}
+        while True:
+            page = self._get(path, query)
+            yield from page[key]
+            if page["next"] is None:
+                return
+            query["cursor"] = page["next"]
+
     def _get(self, path: str, query: Mapping[str, Any] | None = None) -> dict[str, Any]:
         return self._read(self._request("GET", path, params=query))
 
     def _request(self, method: str, path: str, **more: Any) -> httpx.Response:
-        """Return the answer; ask again where the connection fails or the service is starting."""
+        """Return the answer; ask again where the connection fails, the service is starting, or says when to go on."""
         for attempt in range(TRIES):
             try:
                 answer = self._http.request(method, path, **more)
@@ -242,8 +297,12 @@ class Client:
                 if attempt == TRIES - 1:
                     raise self._silent(error) from error
             else:
-                if answer.status_code not in (502, 503, 504) or attempt == TRIES - 1:
+                if answer.status_code not in (429, 502, 503, 504) or attempt == TRIES - 1:
                     return answer
+                told = answer.headers.get("retry-after", "")
+                if answer.status_code == 429 and told.isdecimal():  # too often, or too many jobs at a time
+                    time.sleep(min(int(told), LONGEST_S))
+                    continue
             time.sleep(0.5 * 2**attempt)
         raise AssertionError("unreachable")
 

@@ -183,3 +183,38 @@ def test_an_upload_that_a_killed_client_began_is_found_by_its_digest(service, tm
     refused.write_text("no json")
     with pytest.raises(Refused, match=r"bad\.glb is not a scene"):
         client.send_scene(refused)
+
+
+def test_a_pipeline_finds_deletes_and_is_told(client, service, toy, worker):
+    scene = client.send_scene(toy)["digest"]
+    hook = client.create_webhook("https://8.8.8.8/", name="pipeline")
+    assert hook["secret"].startswith("whsec_")
+    job = client.create_job(scene, {}, idempotency_key="one", name="harbour", webhook=hook["id"])
+    worker()
+    assert client.wait(job["id"])["verdict"] == "valid"
+    assert [j["id"] for j in client.jobs(scene=scene, verdict="valid", name="harb")] == [job["id"]]
+    assert list(client.jobs(name="town")) == []
+    assert [s["digest"] for s in client.scenes(name="level")] == [scene]
+    assert client.curve(job["id"])["budget"] == "16 ms"
+    assert client.usage()["jobs"] == 1
+    said = client.delete(job["id"], dry_run=True)
+    assert client.delete(job["id"]) == {**said, "deleted": True}
+    assert client.delete_scene(scene, dry_run=True)["deleted"] is False
+    assert client.delete_scene(scene)["deleted"] is True
+    assert [w["id"] for w in client.webhooks()] == [hook["id"]]
+    client.delete_webhook(hook["id"])
+    assert list(client.webhooks()) == []
+    with pytest.raises(Refused, match="no webhook"):
+        client.delete_webhook(hook["id"])
+
+
+def test_who_asks_too_often_waits_as_long_as_it_is_told(monkeypatch):
+    waited = []
+    monkeypatch.setattr("time.sleep", waited.append)
+    answers = [
+        httpx.Response(429, headers={"retry-after": "7"}, json={"code": "RateLimited"}),
+        httpx.Response(200, json={}),
+    ]
+    http = httpx.Client(transport=httpx.MockTransport(lambda request: answers.pop(0)), base_url="http://127.0.0.1")
+    assert Client("http://127.0.0.1", "key", http=http).usage() == {}
+    assert waited == [7]

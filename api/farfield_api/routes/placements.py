@@ -29,9 +29,9 @@ router = APIRouter(prefix="/v1/placements", tags=["placements"])
 _FILE: dict[str, Any] = {
     "description": "the file",
     "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in
-                ("application/octet-stream", "application/json", "model/gltf-binary", "image/webp", "image/png",
-                 "image/ktx2")},
+                ("application/octet-stream", "model/gltf-binary", "image/webp", "image/png", "image/ktx2")},
 }  # fmt: skip
+_FILE["content"]["application/json"] = {"schema": {}}
 
 IMMUTABLE = "private, max-age=31536000, immutable"
 TYPES = {

@@ -16,6 +16,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = subparsers.add_parser("jobs", help="list the jobs of a service")
     add_service(parser)
     parser.add_argument("--state", choices=("queued", "running", "done", "failed", "cancelled"))
+    parser.add_argument("--scene", metavar="DIGEST", help="only those of this scene")
+    parser.add_argument("--verdict", choices=("valid", "infeasible", "unproven"))
+    parser.add_argument("--name", metavar="TEXT", help="only those with this in their name")
     parser.add_argument("--limit", type=int, default=50, metavar="N", help="at most so many (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
     parser.set_defaults(run=run)
@@ -25,7 +28,12 @@ def run(args: argparse.Namespace) -> int:
     """List them; exit 0."""
 
     def show(service: Client) -> int:
-        found = list(itertools.islice(service.jobs(state=args.state), max(args.limit, 0)))
+        found = list(
+            itertools.islice(
+                service.jobs(state=args.state, scene=args.scene, verdict=args.verdict, name=args.name),
+                max(args.limit, 0),
+            )
+        )
         if args.json:
             print(json.dumps({"jobs": found}))
             return DONE

@@ -27,6 +27,7 @@ VERBS = (
     "fetch",
     "cancel",
     "retry",
+    "keys",
     "fsck",
     "gc",
     "backup",
