@@ -22,6 +22,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="disturb the service so often (tests/chaos)",
     )
     parser.addoption("--chaos-first", type=int, default=0, metavar="SEED", help="... from this seed on")
+    parser.addoption("--postgres", action="store_true", help="run all tests of API and workers on PostgreSQL")
+    parser.addoption("--images", action="store_true", help="also install what each image installs, and start it")
     parser.addoption("--bench", action="store_true", help="run the benchmarks (tests/benchmarks)")
     parser.addoption("--bench-large", action="store_true", help="... and those that take minutes each")
     parser.addoption("--hostile", action="store_true", help="also read hundreds of broken levels of every format")

@@ -12,6 +12,7 @@ from farfield.store.engine import open_engine
 from farfield_api.app import make_app
 from farfield_api.settings import ApiSettings
 from farfield_workers.serve import migrate
+from servers import postgres, postgres_template  # noqa: F401  (fixtures)
 from starlette.testclient import TestClient
 
 TESTS = Path(__file__).parents[1]
@@ -55,10 +56,38 @@ def empty_database(tmp_path_factory):
     return path
 
 
+ON_BOTH = {  # tests of what databases do differently: they run on PostgreSQL, too
+    "test_a_job_from_submit_to_placement",
+    "test_an_idempotency_key_makes_one_job",
+    "test_pages_of_jobs_hold_each_once",
+    "test_cancel_and_delete",
+    "test_a_cancelled_job_can_be_retried_and_an_old_worker_commits_nothing",
+    "test_a_key_is_made_used_rotated_and_revoked",
+    "test_jobs_that_are_asked_for_at_once_do_not_exceed_a_quota",
+    "test_nobody_alters_the_audit_log",
+    "test_pieces_become_the_scene_of_these_bytes",
+    "test_metrics_tell_of_jobs_shards_queues_and_requests",
+}
+
+
+def pytest_generate_tests(metafunc):
+    if metafunc.function.__name__ in ON_BOTH:
+        metafunc.parametrize("database", ["sqlite", "postgres"], indirect=True)
+
+
 @pytest.fixture
-def service(tmp_path, empty_database):
-    shutil.copy(empty_database, tmp_path)
-    engine = open_engine(f"sqlite:///{tmp_path / 'farfield.sqlite'}")
+def database(request, tmp_path):
+    """The address of a fresh database with our tables."""
+    if getattr(request, "param", "sqlite") == "postgres" or request.config.getoption("--postgres"):
+        server = request.getfixturevalue("postgres")
+        return server.new(request.getfixturevalue("postgres_template"))
+    shutil.copy(request.getfixturevalue("empty_database"), tmp_path)
+    return f"sqlite:///{tmp_path / 'farfield.sqlite'}"
+
+
+@pytest.fixture
+def service(tmp_path, database):
+    engine = open_engine(database)
     tenant_id = tenants.create_tenant(engine, "toy")
     key = tenants.create_key(engine, tenant_id, "test", ("read", "submit", "admin"))
     web = tmp_path / "dist"
@@ -67,7 +96,7 @@ def service(tmp_path, empty_database):
         (web / f"{name}.html").write_text(f"<title>{name}</title>")
     (web / "assets" / "app-abc.js").write_text("1")
     settings = ApiSettings(
-        database_url=str(engine.url), broker_url=f"redis+socket://{tmp_path}/none.sock",
+        database_url=database, broker_url=f"redis+socket://{tmp_path}/none.sock",
         artifacts=tmp_path / "artifacts", secret="ab" * 32, web=web,
         max_scene_bytes=100_000, poll_s=0.02, inspect_seconds=20,
         inspect_command=(sys.executable, str(TESTS / "toy_inspect.py")),

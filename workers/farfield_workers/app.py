@@ -6,6 +6,7 @@ a slot. A message may come twice, late or never; the tables decide, and the reco
 
 import functools
 import logging
+import socket
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -18,7 +19,7 @@ from farfield import logs
 from farfield.stages import RUN_SHARD, Queue
 from farfield.store import progress
 from farfield.store.artifacts import Artifacts, open_artifacts
-from farfield.store.engine import open_engine
+from farfield.store.engine import GONE_S, open_engine
 from farfield.store.progress import WINDOW
 from kombu.exceptions import OperationalError
 
@@ -59,6 +60,17 @@ app.conf.update(
     accept_content=["json"],
     broker_connection_max_retries=None,
     broker_connection_retry_on_startup=True,
+    broker_transport_options={
+        "socket_connect_timeout": 10,
+        "socket_keepalive": True,
+        # A broker that acknowledges nothing is gone: else a host that was cut off waits a quarter of an hour for it.
+        "socket_keepalive_options": {
+            socket.TCP_KEEPIDLE: GONE_S // 2,
+            socket.TCP_KEEPINTVL: 5,
+            socket.TCP_KEEPCNT: 2,
+            socket.TCP_USER_TIMEOUT: GONE_S * 1000,
+        },
+    },
     task_acks_late=True,
     task_default_queue="cpu",
     task_ignore_result=True,
