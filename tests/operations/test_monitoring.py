@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from farfield.store import workers
 from farfield.store.artifacts import LocalArtifacts
+from farfield.store.counters import Counts, totals
 from farfield.store.engine import open_engine
+from farfield.store.workers import Telling
 from farfield_api.cluster_metrics import ClusterMetrics
 from farfield_api.observe import HttpMetrics
 from farfield_api.readiness import Readiness
@@ -21,18 +24,42 @@ MONITORING = ROOT / "infra" / "monitoring"
 SUFFIXES = {"counter": ("_total",), "gauge": ("",), "histogram": ("_bucket", "_sum", "_count")}
 
 
+def _series(url, folder):
+    """Return the names of all series that an API process with this database answers with."""
+    engine = open_engine(url)
+    migrate(engine, ROOT / "migrations")
+    workers.tell(
+        engine, Telling(name="a", host="a", queues=("cpu", "gl"), capability={}, shard_id="0" * 32, stage="bake")
+    )
+    workers.tell(engine, Telling(name="b", host="a", queues=("optimizer",), capability={}), stopped=True)
+    assert workers.served_queues(engine) == {"cpu": 1, "optimizer": 0, "gl": 1}
+    counts = Counts()
+    counts.observe("shard_seconds", 2.0, stage="bake")
+    counts.flush(engine)
+    counts.observe("shard_seconds", 2.0, stage="bake")
+    counts.flush(engine)
+    assert totals(engine)["shard_seconds_sum", "stage=bake"] == 4.0
+    artifacts, registry = LocalArtifacts(folder / "artifacts"), CollectorRegistry()
+    readiness = Readiness(engine, artifacts, bool, ROOT / "migrations")
+    registry.register(ClusterMetrics(engine, artifacts, readiness))
+    HttpMetrics(registry)
+    names = {f.name + suffix for f in registry.collect() for suffix in SUFFIXES[f.type]}
+    assert all(text == "ok" for name, text in readiness.ask().checks.items() if name != "workers")
+    workers.end(engine, None)
+    assert {w["state"] for w in workers.listed(engine)} == {"stopped"}
+    engine.dispose()
+    return names
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """The names of all series that an API process answers with."""
     folder = tmp_path_factory.mktemp("exported")
-    engine = open_engine(f"sqlite:///{folder / 'farfield.sqlite'}")
-    migrate(engine, ROOT / "migrations")
-    artifacts, registry = LocalArtifacts(folder / "artifacts"), CollectorRegistry()
-    registry.register(ClusterMetrics(engine, artifacts, Readiness(engine, artifacts, bool, ROOT / "migrations")))
-    HttpMetrics(registry)
-    names = {f.name + suffix for f in registry.collect() for suffix in SUFFIXES[f.type]}
-    engine.dispose()
-    return names
+    return _series(f"sqlite:///{folder / 'farfield.sqlite'}", folder)
+
+
+def test_the_same_is_told_on_postgresql(exported, postgres, tmp_path):
+    assert _series(postgres.new(), tmp_path) == exported
 
 
 def _named(text):

@@ -1,0 +1,3 @@
+"""Tests of the service as it is run: real processes, a real PostgreSQL."""
+
+from servers import postgres as postgres
