@@ -1,5 +1,8 @@
 """A budget in triangles over curved meshes: levels of detail counted, written, verified, and drawn as counted."""
 
+import json
+
+import numpy as np
 import pytest
 from curved import SETTINGS, curved_level
 from farfield.evaluation.verify import Eye, draw_views, refuted, verify
@@ -32,6 +35,30 @@ def test_levels_spare_problem_views_and_memory(folders):
     ] == "detail.mode is off: objects are drawn as they are"
     assert Placement.open(folder).manifest["version"] == 4 and Placement.open(plain).manifest["version"] == 3
     assert (folder / "scene.glb").stat().st_size < 1.5 * (plain / "scene.glb").stat().st_size
+
+
+def test_the_report_says_what_levels_bring(folders):
+    (folder, on), (_, off) = folders["on"], folders["off"]
+    assert off["detail"] is None
+    detail, index = on["detail"], Placement.open(folder).index
+    rows = np.diff(index["level_row"])
+    assert detail["objects"] == (rows > 0).sum() > 0 and 0 < detail["levels"] <= rows.sum()
+    placement, spared, coarser = Placement.open(folder), [], []
+    for cell in range(placement.manifest["counts"]["cells"]):  # the slow way, by the reader
+        level = placement.levels_in(cell)
+        at = [int(index["level_row"][o]) + int(k) - 1 for o, k in enumerate(level) if k]
+        drawn = int(index["object_triangles"][level == 0].sum()) + int(index["level_triangles"][at].sum())
+        spared.append(1 - drawn / index["object_triangles"].sum())
+        coarser.append((level > 0).mean())
+    assert detail["spared"] == pytest.approx(np.mean(spared)) and detail["spared"] > 0.1
+    assert detail["drawn_coarser"] == pytest.approx(np.mean(coarser))
+    glb = (folder / "scene.glb").read_bytes()
+    document = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
+    of_levels = {k for mesh in document["meshes"] for k in mesh.get("extras", {}).get("levels", [])}
+    assert len(of_levels) == detail["levels"]
+    accessors = [document["accessors"][p["indices"]] for k in of_levels for p in document["meshes"][k]["primitives"]]
+    assert sum(a["count"] for a in accessors) == 3 * detail["triangles"]
+    assert sum(a["count"] * {5123: 2, 5125: 4}[a["componentType"]] for a in accessors) == detail["bytes"]
 
 
 def test_workers_leave_no_trace_and_auto_is_on_where_triangles_are_counted(folders, files_of):

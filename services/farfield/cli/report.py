@@ -101,6 +101,9 @@ def _figures(report: Mapping[str, Any]) -> Table:
         gap = "" if bound["gap"] is None else f", {100 * bound['gap']:.0f} % more"
         rows.insert(4, ("proven bound", f"{_size(report['lower_bound_bytes'])} as estimated before the bake, where "
                                         f"{_size(bound['estimated_bytes'])} are placed{gap}"))  # fmt: skip
+    if detail := report.get("detail"):
+        spared = f"spare {100 * detail['spared']:.0f} % of the triangles, {_size(detail['bytes'])} of indices"
+        rows.insert(2, ("detail", f"{detail['levels']:,} coarser levels for {detail['objects']:,} objects {spared}"))
     if (seen := report.get("visibility")) and seen["mode"] != "off":
         rows.insert(2, ("visibility", _visibility(seen)))
     if report.get("device"):

@@ -14,6 +14,7 @@ import numpy as np
 
 from farfield.columns import unpack, unpack_files
 from farfield.errors import PlacementFileMissing
+from farfield.evaluation.detail import levels_summary
 from farfield.evaluation.verify import refuted
 from farfield.geometry.cells import CellTree, build_cells
 from farfield.geometry.intervals import direction_at, edges, split_id
@@ -92,6 +93,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         **{key: manifest[key] for key in ("bytes", "file_bytes", "video_bytes", "camera", "quality", "bounds",
                                           "view_space")},
         **_bound(inputs.get(Stage.BOUND)),
+        "detail": levels_summary(scene, inputs.get(Stage.DETAIL), model, cells),
         "visibility": summary(inputs.get(Stage.VISIBILITY), n_objects=scene.n_objects),
         "stages": ran, "seconds": round(math.fsum(s["seconds"] for s in ran), 3),
         "peak_bytes": max((s["peak_bytes"] for s in ran), default=0),

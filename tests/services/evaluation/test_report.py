@@ -14,6 +14,7 @@ import pytest
 from farfield.cli import report as report_verb
 from farfield.cli import verify as verify_verb
 from farfield.columns import files_parts, pack
+from farfield.detail.model import no_levels
 from farfield.errors import ColumnsAltered, ColumnsTooNew, PlacementFileMissing, SettingsInvalid
 from farfield.evaluation.proof.merge import merge_proofs
 from farfield.evaluation.report import build_report
@@ -59,7 +60,7 @@ def job(folder: Path, made: dict[str, Any], verified: bool = True) -> Inputs:
     models = {
         Stage.SCENE: made["scene"], Stage.RENDERTIME: made["model"], Stage.VIEWSPACE: made["views"],
         Stage.REPAIR: made["placement"], Stage.BAKE: made["baked"],
-        Stage.VISIBILITY: made["visible"],
+        Stage.VISIBILITY: made["visible"], Stage.DETAIL: no_levels(),
         Stage.BOUND: Bound(method="lp", lower_bytes=400, placed_bytes=500, choices=89),
         Stage.CANDIDATES: SimpleNamespace(cluster=np.zeros(77)),
     }  # fmt: skip

@@ -81,6 +81,8 @@ export function figures(report: Report): HTMLElement | null {
   const rows: [string, string, number | null | undefined, "count" | "bytes"][] = [
     ["Objects", "what a placement may replace", report.objects, "count"],
     ["Triangles", "", report.triangles, "count"],
+    ["Coarser levels", report.detail ? `spare ${Math.round(100 * report.detail.spared)} % of the triangles` : "", report.detail?.levels, "count"],
+    ["Level bytes", "indices of the coarser levels", report.detail?.bytes, "bytes"],
     ["View-space cells", "leaves of the view-space tree", report.cells, "count"],
     ["Problem views", "cell and direction over budget as geometry", report.problem_views, "count"],
     ["Hopeless views", "over budget with any impostor", report.hopeless_views, "count"],

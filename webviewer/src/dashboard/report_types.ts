@@ -104,6 +104,7 @@ export interface Report {
   problem_views?: number;
   hopeless_views?: number;
   candidates?: number;
+  detail?: { objects: number; levels: number; triangles: number; bytes: number; drawn_coarser: number; spared: number } | null;
   impostors?: number;
   layers?: number;
   chunks?: number;
