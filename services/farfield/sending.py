@@ -46,7 +46,13 @@ def send_file(service: Service, path: Path, *, digest: str, sent: Callable[[int]
     n_bytes, told, most, failures = path.stat().st_size, 0, 0, 0
     where = _found(service, digest, n_bytes) or _started(service, path.name, digest, n_bytes)
     while True:
-        answer = service.request("GET", where)
+        try:
+            answer = service.request("GET", where)
+        except ServiceError:  # it has waited a while: a service that restarts takes longer, now and then
+            failures += 1
+            if failures >= TRIES:
+                raise
+            continue
         if answer.status_code == 404 and failures < TRIES:  # expired, or ended by somebody
             failures += 1
             where = _started(service, path.name, digest, n_bytes)

@@ -29,6 +29,9 @@ from farfield.stages import Stage
 from farfield_workers.children import die_with_parent
 from farfield_workers.table import Pipeline, load_pipeline
 
+# Of the environment: a process that reads a stranger's file learns no address and no password.
+SECRETS = ("FARFIELD_", "AWS_", "PG")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
@@ -103,7 +106,10 @@ def compute_isolated(pipeline_name: str, call: Call, out: Path, *, memory_bytes:
     """Do what `compute` does in a process of its own with these limits. Raises FailedElsewhere, StageFailed."""
     order = {"pipeline": pipeline_name, "call": asdict(call), "out": str(out), "memory_bytes": memory_bytes}
     command = [sys.executable, "-m", "farfield_workers.compute"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True) as child:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(SECRETS)}
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, env=kept
+    ) as child:
         try:
             answer = _wait(child, json.dumps({**order, "seconds": seconds}).encode(), seconds)
         except subprocess.TimeoutExpired:
