@@ -127,3 +127,52 @@ def polygons_share(corner, row, eye, frame):
         if n >= 3:
             total += screen_share(points, n, rect)
     return total
+
+
+@njit(cache=True)
+def _edge_squared(p, a, b):
+    """Return the squared distance of p from the segment ab."""
+    squared = along = 0.0
+    for i in range(3):
+        e = b[i] - a[i]
+        squared += e * e
+        along += e * (p[i] - a[i])
+    t = min(max(along / squared, 0.0), 1.0) if squared > 0 else 0.0
+    out = 0.0
+    for i in range(3):
+        d = p[i] - a[i] - t * (b[i] - a[i])
+        out += d * d
+    return out
+
+
+@njit(cache=True)
+def surface_within(point, limit, corner, found):
+    """Fill found (N,) b1: whether a triangle of corner (T,3,3) lies within limit (N,) of the point (N,3), edge-on or not."""
+    for n in range(len(point)):
+        p, reach = point[n], limit[n]
+        found[n] = False
+        for k in range(len(corner)):
+            a, b, c = corner[k, 0], corner[k, 1], corner[k, 2]
+            away = False
+            for i in range(3):
+                if min(a[i], b[i], c[i]) > p[i] + reach or max(a[i], b[i], c[i]) < p[i] - reach:
+                    away = True
+                    break
+            if away:
+                continue
+            nearest = min(_edge_squared(p, a, b), _edge_squared(p, b, c), _edge_squared(p, c, a))
+            ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+            wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            area = nx * nx + ny * ny + nz * nz
+            if area > 0:
+                # weights of b and c of the foot of the perpendicular
+                s = ((wy * vz - wz * vy) * nx + (wz * vx - wx * vz) * ny + (wx * vy - wy * vx) * nz) / area
+                t = ((uy * wz - uz * wy) * nx + (uz * wx - ux * wz) * ny + (ux * wy - uy * wx) * nz) / area
+                if s >= 0 and t >= 0 and s + t <= 1:
+                    height = wx * nx + wy * ny + wz * nz
+                    nearest = min(nearest, height * height / area)
+            if nearest <= reach * reach:
+                found[n] = True
+                break

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from farfield.bake.gl import context as gl_context
 from farfield.columns import Parts, unpack
+from farfield.evaluation import kernels
 from farfield.evaluation.proof import judge, prove
 from farfield.evaluation.proof.merge import PICTURES, merge_proofs, upper_share
 from farfield.evaluation.proof.pairs import Shown, rect_of
@@ -79,7 +80,7 @@ def test_sound_impostors_pass_in_any_cut(prover: prove.Prover, folder: Path) -> 
     assert (found["crack_px"], found["failed"], found["failed_impostors"]) == (0, 0, [])
     assert 0.2 < found["worst_displacement_px"] <= found["allowed_px"] == 1.0
     assert 0 < found["mean_displacement_px"] < found["worst_displacement_px"]
-    assert found["wrong_texels"] < 0.02 * found["texels"] and found["open_texels"] < 0.3 * found["texels"]
+    assert found["wrong_texels"] == 0 and found["open_texels"] < 0.3 * found["texels"]
     assert found["pairs_in_view"] > 5 and 0 < found["flip"] < 0.2
     assert len(found["worst"]) == PICTURES
     assert found["worst"][0]["pictures"]["difference"].startswith("data:image/webp;base64,")
@@ -109,7 +110,8 @@ def test_a_layer_out_of_place_is_displaced(prover: prove.Prover, monkeypatch: py
     """Planes twice as far from the eye as they should be: right from the eye, wrong from elsewhere."""
     every = prover.placement.impostors
     moved = [
-        replace(i, layers=tuple(replace(a, plane=2 * a.plane, position=2 * a.position) for a in i.layers)) for i in every
+        replace(i, layers=tuple(replace(a, plane=2 * a.plane, position=2 * a.position) for a in i.layers))
+        for i in every
     ]
     monkeypatch.setattr(prover.placement, "impostors", moved)
     found = tried(prover, 12)
@@ -171,6 +173,26 @@ def test_pixels_inside_have_all_their_neighbours() -> None:
             for x in range(reach, 40 - reach):
                 wanted[y, x] = solid[y - reach : y + reach + 1, x - reach : x + reach + 1].all()
         np.testing.assert_array_equal(judge.inside(solid, reach), wanted)
+
+
+def test_surfaces_within_a_reach_are_those_that_their_points_say() -> None:
+    """Against a fine grid of points of each triangle; segments, points and slivers among them."""
+    rng = np.random.default_rng(2)
+    weight = np.array([(i / 60, j / 60, 1 - (i + j) / 60) for i in range(61) for j in range(61 - i)])
+    for k in range(60):
+        corner = rng.normal(size=(2, 3, 3))
+        if k % 3 == 1:
+            corner[:, 2] = corner[:, 0] + 0.3 * (corner[:, 1] - corner[:, 0])
+        if k % 6 == 2:
+            corner[0] = corner[0, 0]
+        point = rng.normal(size=(20, 3)) * 1.5
+        nearest = np.sqrt((((weight @ corner)[None] - point[:, None, None]) ** 2).sum(-1).min((1, 2)))
+        found = np.zeros(20, bool)
+        kernels.surface_within(point, nearest * (1 + 1e-9), corner, found)
+        assert found.all()
+        spacing = np.abs(np.diff(corner[:, [0, 1, 2, 0]], axis=1)).max() / 60 * 2  # of the grid: none is nearer by more
+        kernels.surface_within(point, np.maximum(nearest - spacing, 0), corner, found)
+        assert not found[nearest > 1.5 * spacing].any()
 
 
 def test_the_bound_of_the_failing_share_holds_as_often_as_it_says() -> None:

@@ -5,9 +5,11 @@ Crack         A pixel that the impostor leaves open although it and all pixels w
               however its points move by that much must be covered.
 Displacement  For each texel of the impostor in the picture: the angle, seen from the viewpoint, between where its centre
               is drawn and the surface that the reference viewpoint sees through it, which a ray tracer finds on the level's
-              own triangles in the layer's slab: that at the depth which the texel states, within a step, else the nearest
-              (then the texel is `wrong`); at 16 points of the texel where none lies behind its centre; by the
-              stated depth where only a corner of a surface touches it (`open`). In pixels of the screen's centre.
+              own triangles in the layer's slab: that at the depth which the texel states, within a step, else the
+              nearest; at 16 points of the texel where none lies behind its centre; by the stated depth where only a
+              corner of a surface touches it (`open`). In pixels of the screen's centre.
+Depth         A texel is `wrong` if its centre sees surfaces, but none at the stated depth, and none (edge-on, say) lies within
+              a texel and a step of depth of the point that it states.
 Difference    FLIP between the two pictures, antialiased, over the pixels that show the impostor or its geometry.
 """
 
@@ -18,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+from farfield.evaluation import kernels
 from farfield.placementdb.read import Impostor, Layer
 
 SLACK = 1e-3  # of a texel, of the slab: what float32 loses between eye, corner and ray
@@ -36,7 +39,7 @@ class Moved:
 
     texels: int
     open: int  # of them: no ray meets a surface; measured by the depth that the texel states
-    wrong: int  # of them: surfaces lie behind the centre, but none at the depth that the texel states
+    wrong: int  # of them: no surface lies within a texel and a step of depth of the point that the texel states
     largest: float
     total: float
 
@@ -49,6 +52,7 @@ class Tracer:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
+        self._corner = np.ascontiguousarray(corner, np.float64)
         self._scene: Any = EmbreeScene() if len(corner) else None
         if len(corner):
             index = np.arange(3 * len(corner), dtype=np.int32).reshape(-1, 3)
@@ -67,6 +71,12 @@ class Tracer:
         at = start + found["tfar"].astype(np.float64) / length
         hit = (found["primID"] >= 0) & (at <= far + SLACK * (far - near) + 1e-6 * far)
         return np.where(hit, at, out)
+
+    def near(self, point: np.ndarray, limit: np.ndarray) -> np.ndarray:
+        """Return (N,) b1: whether a surface lies within limit (N,) of the point (N,3)."""
+        found = np.zeros(len(point), bool)
+        kernels.surface_within(point, limit, self._corner, found)
+        return found
 
 
 def texel_basis(layer: Layer) -> np.ndarray:
@@ -133,6 +143,10 @@ def displacement(impostor: Impostor, tracer: Tracer, what: np.ndarray, texel: np
         measure(todo[hit], drawn[hit], z[hit])
     still = np.flatnonzero(angle < 0)
     measure(still, points(still, 0.5, 0.5), 1 / claimed[still])
+    ids = np.flatnonzero(wrong)  # unless the surface is seen edge-on, or ends within rounding of the centre
+    z = 1 / claimed[ids]
+    width = np.sqrt((basis[ids, 1:] ** 2).sum((1, 2))) / plane[ids] * z
+    wrong[ids] = ~tracer.near(points(ids, 0.5, 0.5) * (z / plane[ids])[:, None], width / 2 + STEPS * z * z * step[ids])
     moved = 2 * np.tan(angle / 2) / pixel
     return Moved(len(code), len(still), int(wrong.sum()), float(moved.max()), float(math.fsum(moved)))
 

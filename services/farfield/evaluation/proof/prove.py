@@ -34,7 +34,7 @@ from farfield.placementdb.read import Impostor, Placement
 
 MARGIN, MOST = 12, 512  # pixels around the impostor; side of a window
 TOLERANCE = 1e-3  # of the pixel error: float32 positions of corners
-WRONG_SHARE, WRONG_LEAST = 0.1, 16  # texels off in depth that fail an impostor: sound ones have a few along steep edges
+WRONG_SHARE, WRONG_LEAST = 0.01, 4  # texels off in depth that fail an impostor; sound ones have none
 BACKGROUND = np.array([0.34, 0.5, 0.64])  # linear
 PICTURE_SIDE = 320
 PAGES = 32  # decoded, 6 MB each
