@@ -266,6 +266,24 @@ def test_deleting_a_job_keeps_what_others_need(in_process):
     assert not kept & set(digests)
 
 
+def test_what_another_tenant_has_computed_is_computed_again(in_process):
+    from dataclasses import replace
+
+    from farfield.store import tenants
+
+    def reused(bench):
+        job_id, message = bench.submit()
+        bench.run(message)
+        with read(bench.engine) as tx:
+            done = sa.select(shard.c.cached).where(shard.c.job_id == job_id, shard.c.kind == "run")
+            return set(tx.scalars(done)), {s["artifact"] for s in bench.stages(job_id).values()}
+
+    other = replace(in_process, tenant_id=tenants.create_tenant(in_process.engine, "other"))
+    (first, mine), (again, _), (theirs, same) = reused(in_process), reused(in_process), reused(other)
+    assert (first, again, theirs) == ({False}, {True}, {False})
+    assert mine == same  # equal bytes are one blob all the same
+
+
 def test_writers_in_many_threads_never_meet_a_locked_database(in_process):
     def submit(_):
         return in_process.submit()[0]

@@ -132,12 +132,12 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
     started = time.perf_counter()
     key = _key(pipeline, held)
     resumes = key is not None and held.kind != "plan" and Stage(held.stage) in pipeline.resumes
-    checkpoint = key.replace(":", "-") if key is not None and resumes else None
+    checkpoint = f"{held.tenant_id}-{key.replace(':', '-')}" if key is not None and resumes else None
     with ExitStack() as until_done:
         folder = Path(until_done.enter_context(TemporaryDirectory(dir=artifacts.temporary, prefix="shard-")))
         handed = HandedOver(folder / "checkpoint")
         until_done.enter_context(leased(engine, held, settings, renewed=handed.give))
-        known = shards.known_result(engine, key) if key is not None else None
+        known = shards.known_result(engine, held.tenant_id, key) if key is not None else None
         if known is not None and artifacts.has(known.artifact_digest):
             found = Result(known.artifact_digest, artifacts.n_bytes(known.artifact_digest), known.peak_bytes or 0)
             seconds, cached = known.seconds or 0.0, True

@@ -131,10 +131,13 @@ def renew(engine: sa.Engine, held: Claim, *, lease_s: float = LEASE_S) -> bool:
         return bool(updated)
 
 
-def known_result(engine: sa.Engine, key: str) -> Any:
-    """Return (artifact_digest, seconds, peak_bytes) of a shard of any job with this key that is done, or None."""
+def known_result(engine: sa.Engine, tenant_id: str | None, key: str) -> Any:
+    """Return (artifact_digest, seconds, peak_bytes) of a shard of any job of the tenant with this key that is done, or None.
+
+    Never another tenant's: a job that took no time would tell that somebody else has the same level.
+    """
     with read(engine) as tx:
-        return tx.execute(_KNOWN, {"key": key}).one_or_none()
+        return tx.execute(_KNOWN, {"key": key, "tenant": tenant_id}).one_or_none()
 
 
 def commit(
@@ -359,7 +362,8 @@ _RENEW = (
 )
 _KNOWN = (
     sa.select(shard.c.artifact_digest, shard.c.seconds, shard.c.peak_bytes)
-    .where(shard.c.key == sa.bindparam("key"), shard.c.state == "done", shard.c.artifact_digest.is_not(None)).limit(1)
+    .where(shard.c.key == sa.bindparam("key"), shard.c.tenant_id == sa.bindparam("tenant"), shard.c.state == "done",
+           shard.c.artifact_digest.is_not(None)).limit(1)
 )  # fmt: skip
 _LOCKED = sa.select(job.c.state, job.c.optimizer_token).where(job.c.id == sa.bindparam("job")).with_for_update()
 _COMMIT = sa.update(shard).where(_OURS).values(
