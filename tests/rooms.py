@@ -8,13 +8,13 @@ from farfield.settings import Settings, from_mapping
 from levels import BOX_CORNERS, BOX_FACES, Gltf
 
 WALL_M = 64.0  # from the middle to the outside of the walls
-BLOCKS = 8  # along a wall
+BLOCKS = 6  # along a wall
 REPEATED = 12  # times the faces of a block: triangles are what the budget spends
 SETTINGS: dict[str, Any] = {
-    "budget": "3000 triangles", "camera": {"width": 320, "height": 180}, "scene": {"unit_m": 1.0, "up": "y"},
-    "view_space": {"cell_m": 6.0, "boxes": [[[-6.0, -3.0, -6.0], [6.0, 3.0, 6.0]]]}, "visibility": {"mode": "off"},
-    "detail": {"mode": "off"},
-    "placement": {"candidates": "environment", "far_m": 26.0},
+    "budget": "1500 triangles", "camera": {"width": 120, "height": 72}, "scene": {"unit_m": 1.0, "up": "y"},
+    "view_space": {"cell_m": 4.0, "boxes": [[[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]]], "interval_deg": 22.5},
+    "visibility": {"mode": "off"}, "detail": {"mode": "off"},
+    "placement": {"candidates": "environment", "far_m": 30.0},
 }  # fmt: skip
 
 
@@ -53,9 +53,6 @@ def write_room(path: Path, boxes: np.ndarray) -> Path:
     return path
 
 
-def room_settings(**more: Any) -> Settings:
-    """Return settings for the room; `more` replaces tables of them in part."""
-    values = {k: dict(v) if isinstance(v, dict) else v for k, v in SETTINGS.items()}
-    for table, entries in more.items():
-        values[table] = {**values[table], **entries} if isinstance(entries, dict) else entries
-    return from_mapping(values)
+def room_settings() -> Settings:
+    """Return settings for the room: a map around the one view cell."""
+    return from_mapping(SETTINGS)
