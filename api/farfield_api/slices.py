@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterator
 from itertools import chain
 
-from farfield.columns import files_table
 from farfield.store.artifacts import Artifacts
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
@@ -20,6 +19,8 @@ TABLES = 32  # of the containers asked for last
 @functools.lru_cache(maxsize=TABLES)
 def files_in(artifacts: Artifacts, digest: str) -> dict[str, tuple[int, int]]:
     """Return name -> [start, stop) of each file in the container. Raises ArtifactMissing, ColumnsAltered."""
+    from farfield.columns import files_table  # brings numpy: 16 MiB that a process without placements saves
+
     return files_table(lambda start, stop: b"".join(artifacts.stream(digest, start, stop)), where="the placement")
 
 

@@ -41,7 +41,7 @@ _ADVICE = {
 
 
 def fit_profile(samples: np.ndarray) -> DeviceProfile:
-    """Return the profile of samples (S,7) f64 as `samples_of` returns them, with its residuals in `fit`.
+    """Return the profile of samples (S,7) f64 as `read_samples` returns them, with its residuals in `fit`.
 
     Raises SamplesTooFew, SamplesDegenerate: the message names every column that is to blame, and what to measure.
     """
