@@ -159,8 +159,14 @@ def small_disk(folder: Path) -> Iterator[bool]:
 
 
 @contextmanager
-def run_cluster(kind: str, *, lease_s: float = LEASE_S, workers: int = 2, **more: str) -> Iterator[Cluster]:
-    """Run a service of `kind` "sqlite" or "postgresql"; skips where PostgreSQL is not installed. `more`: environment."""
+def run_cluster(
+    kind: str, *, lease_s: float = LEASE_S, workers: int = 2, small: bool = False, **more: str
+) -> Iterator[Cluster]:
+    """Run a service of `kind` "sqlite" or "postgresql"; skips where PostgreSQL is not installed.
+
+    small  give its store a small disk of its own, if we may
+    more   environment
+    """
     with ExitStack() as stack:
         folder = Path(tempfile.mkdtemp(prefix="farfield-chaos-"))
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -169,8 +175,9 @@ def run_cluster(kind: str, *, lease_s: float = LEASE_S, workers: int = 2, **more
         else:
             url = stack.enter_context(run_postgres()).new()
         store = folder / "store"
-        small = stack.enter_context(small_disk(store))
+        store.mkdir()
+        mounted = stack.enter_context(small_disk(store)) if small else False
         cluster = Cluster(folder, url, store, lease_s=lease_s, workers=workers, more=more)
-        cluster.small_disk = small
+        cluster.small_disk = mounted
         stack.callback(cluster.stop)
         yield cluster

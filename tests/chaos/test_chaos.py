@@ -25,7 +25,7 @@ expected = functools.cache(undisturbed)
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def cluster(request):
-    with run_cluster(request.param) as running:
+    with run_cluster(request.param, small=True) as running:
         yield running
 
 

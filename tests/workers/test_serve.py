@@ -83,6 +83,22 @@ def test_a_killed_worker_costs_time_but_no_bytes(served, bench, tmp_path):
         assert served.client.get(f"/v1/placements/{job['id']}/{path}").content == bytes(content), name
 
 
+def test_a_small_job_ends_long_before_a_heavy_one_that_came_first(served, tmp_path):
+    heavy, small = tmp_path / "heavy.glb", tmp_path / "small.glb"
+    heavy.write_text(json.dumps({"seconds": 0.1, "shards": 150}))
+    small.write_text(json.dumps({"seconds": 0.1, "shards": 3}))
+    first = json.loads(_submit(served, heavy).stdout)["id"]
+    end = time.monotonic() + 60
+    while not served.client.get(f"/v1/jobs/{first}/stages/viewspace/shards").json()["shards"] and time.monotonic() < end:
+        time.sleep(0.05)
+    done = _submit(served, small, "--watch")
+    assert done.returncode == 0, done.stderr
+    left = served.client.get(f"/v1/jobs/{first}").json()
+    assert left["state"] == "running"
+    assert next(s for s in left["stages"] if s["name"] == "viewspace")["shards"]["ready"] > 20
+    assert served.client.post(f"/v1/jobs/{first}/cancel").json()["state"] == "cancelled"
+
+
 def test_submit_tells_its_outcome_by_its_exit_code(served, tmp_path):
     scene = tmp_path / "toy.glb"
     scene.write_text(json.dumps({"fail": "evaluation"}))
