@@ -114,7 +114,10 @@ def test_the_workers_environment_has_all_that_its_code_imports_and_runs_a_stage(
     scene = level(tmp_path)
     environment = clean(NUMBA_CACHE_DIR=tmp_path / "numba", FARFIELD_DATABASE_URL="sqlite://",
                         FARFIELD_BROKER_URL="memory://", FARFIELD_ARTIFACTS=tmp_path / "artifacts")  # fmt: skip
-    for name, without in (("worker", ".gl,_gl,proof"), ("baker", "nothing")):
+    for name, without in (
+        ("worker", ".gl,_gl,proof,.cli,.client,.sending,.exact"),
+        ("baker", ".cli,.client,.sending,.exact"),
+    ):
         words = [pythons[name], "-c", IMPORT_ALL, "farfield,farfield_workers", f"__main__,{without}"]
         told = subprocess.run(words, env=environment, cwd="/", capture_output=True, text=True)
         assert told.stdout.endswith("all\n"), told.stderr

@@ -10,7 +10,7 @@ from farfield.store.engine import read
 from farfield.store.tables import shard, stage
 
 TESTS = Path(__file__).parents[1]
-RACERS, JOBS = 4, 5
+RACERS, JOBS = 3, 3
 
 
 def test_workers_of_many_processes_lose_nothing_and_advance_once(in_process):
