@@ -8,14 +8,21 @@ import time
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 from benchmarks.load import load
-from benchmarks.measure import exponent
+from benchmarks.measure import best_seconds, exponent
 from chaos.cluster import run_cluster
 from chaos.level import level
 from farfield.settings import Settings, from_mapping, to_mapping
 from farfield.stages import Stage
-from farfield.store import jobs, scenes
+from farfield.store import jobs, scenes, tenants
 from farfield.store.artifacts import LocalArtifacts
+from farfield.store.engine import open_engine, write
+from farfield.store.fair import Host, next_shard
+from farfield.store.shards import put_artifact
+from farfield.store.tables import job, scene, shard, stage
+from farfield_workers.serve import migrate
+from servers import MIGRATIONS
 
 TESTS = Path(__file__).parents[1]
 TOY = {"FARFIELD_PIPELINE": "toy_pipeline:PIPELINE", "PYTHONPATH": f"{TESTS}:{os.environ.get('PYTHONPATH', '')}"}
@@ -142,3 +149,47 @@ def _toml(settings):
 
     assert to_mapping(from_mapping(tomllib.loads(text))) == settings
     return text
+
+
+def test_ten_thousand_jobs_are_listed_and_served_at_once(tmp_path, report):
+    """The jobs page's query, a filtered one, and the choice of the next shard, among 10^4 jobs that wait."""
+    engine = open_engine(f"sqlite:///{tmp_path / 'farfield.sqlite'}")
+    migrate(engine, MIGRATIONS)
+    tenant_id = tenants.create_tenant(engine, "many")
+    n, settings, now_s = 10_000, to_mapping(Settings()), time.time()
+    with write(engine) as tx:
+        put_artifact(tx, "0" * 64, 1)
+        tx.execute(sa.insert(scene).values(
+            tenant_id=tenant_id, digest="0" * 64, name="toy", suffix=".glb", n_bytes=1, summary={}, created_at=now_s,
+            inspect_digest="0" * 64,
+        ))  # fmt: skip
+        rows = [{"id": f"{k:032x}", "tenant_id": tenant_id, "job_id": f"{k:032x}"} for k in range(n)]
+        plain = {"name": "toy", "scene_digest": "0" * 64, "settings": settings, "state": "queued", "event_seq": 0,
+                 "optimizer_token": 0, "request_digest": "0" * 64}  # fmt: skip
+        tx.execute(sa.insert(job), [
+            {**plain, "id": r["id"], "tenant_id": tenant_id, "created_at": now_s - k, "turn": k} for k, r in enumerate(rows)
+        ])  # fmt: skip
+        names = list(map(str, Stage))
+        for start in range(0, n, 1000):
+            part = rows[start : start + 1000]
+            tx.execute(sa.insert(stage), [
+                {**r, "id": f"{r['id'][:-2]}{r['id'][-2:]}"[-28:] + f"{i:04x}", "ordinal": i, "name": name,
+                 "state": "waiting" if i else "planning"} for r in part for i, name in enumerate(names)
+            ])  # fmt: skip
+            tx.execute(sa.insert(shard), [
+                {**r, "stage_id": r["id"][-28:] + "0000", "kind": "plan", "ordinal": 0, "queue": "cpu", "params": None,
+                 "state": "ready", "attempt": 0, "cached": False} for r in part
+            ])  # fmt: skip
+
+    def listed(**more):
+        found = jobs.page(engine, tenant_id, before=None, limit=50, **more)
+        return jobs.stages_of_all(engine, [row.id for row in found])
+
+    for work, run in (
+        ("a page of jobs", listed), ("... of one state", lambda: listed(state="queued")),
+        ("the next shard", lambda: next_shard(engine, "cpu", Host(name="here"))),
+    ):  # fmt: skip
+        seconds = best_seconds(run, within_s=1.0)
+        report(stage="service", work=work, input="10,000 jobs", seconds=seconds, rate=1 / seconds, unit="/s")
+        assert seconds < 0.1, work
+    engine.dispose()
