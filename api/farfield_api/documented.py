@@ -48,7 +48,9 @@ def add_refusal(responses: dict[int | str, dict[str, Any]], cls: type[FarfieldEr
 def _example(cls: type[FarfieldError], status: int) -> dict[str, Any]:
     parameters = list(inspect.signature(cls.__init__).parameters.values())[1:]
     plain = cls.__init__ is Exception.__init__ or any(p.kind is p.VAR_POSITIONAL for p in parameters)
-    values = [_MADE_UP.get(p.name, 7 if p.annotation in (int, float) else "it") for p in parameters if p.default is p.empty]
+    values = [
+        _MADE_UP.get(p.name, 7 if p.annotation in (int, float) else "it") for p in parameters if p.default is p.empty
+    ]
     error = cls("why it was refused") if plain else cls(*values)
     body = {"type": f"urn:farfield:error:{cls.__name__}", "title": cls.__name__, "status": status, "code": cls.__name__}
     return {**body, "detail": str(error), "advice": error.advice}
@@ -84,6 +86,9 @@ def _common(operation: dict[str, Any], *, changes: bool, free: bool) -> None:
     problem = {"content": {MEDIA_TYPE: {"schema": _REF}}}
     if any(p["in"] == "path" for p in operation.get("parameters", ())):
         responses.setdefault("404", {"description": "NotFound", **problem})
+    if "requestBody" in operation:
+        responses.setdefault("400", {"description": "RequestRefused: the body cannot be read", **problem})
+        responses.setdefault("413", {"description": "RequestTooLarge", **problem})
     if operation.get("parameters") or "requestBody" in operation:
         invalid = responses.setdefault("422", {"description": ""})
         if "application/json" in invalid.get("content", {}):  # FastAPI's own, which no route of ours answers

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from farfield_api.auth import COOKIE, Reader, authenticate, csrf_token, make_session
+from farfield_api.documented import refusals
 from farfield_api.errors import RESPONSES, KeyMissing, KeyUnknown
 from farfield_api.state import Service, State
 
@@ -37,7 +38,7 @@ class Target(BaseModel):
     )
 
 
-@router.post("/session", summary="Start a session: sets the cookie")
+@router.post("/session", summary="Start a session: sets the cookie", responses=refusals("KeyMissing", "KeyUnknown"))
 async def start(opening: Opening, request: Request, response: Response, service: Service) -> dict[str, Any]:
     if opening.key is not None:
         caller = await run_in_threadpool(tenants.caller_of_key, service.engine, opening.key)
