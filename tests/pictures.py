@@ -11,6 +11,7 @@ import numpy as np
 from farfield.bake.shade import DECODE
 from PIL import Image
 
+SLOW_M, FRAMES = 0.02, 6  # of a walk that shows what shimmers
 THROUGH = 0.1  # of a pixel: less than one of its samples
 SKY = [0.62, 0.74, 0.82]  # the viewer's own
 
@@ -59,6 +60,26 @@ def compare(page: Any, position: Sequence[float], direction: Sequence[float]) ->
         stats=stats, coverage=float(covered.mean()), flip=float(errors[covered].mean()) if covered.any() else 0.0,
         flip_picture=float(errors.mean()), holes=int(holes.sum()), shown=shown, truth=truth,
     )  # fmt: skip
+
+
+def shimmer(page: Any, position: Sequence[float], direction: Sequence[float]) -> tuple[float, float]:
+    """Return how much a frame of a slow walk forwards differs from the next, with impostors and with geometry.
+
+    Means over the pixels that impostors cover in the first frame, of 0 .. 1. Leaves impostors on.
+    """
+    ahead = np.array([direction[0], 0.0, direction[2]]) / np.hypot(direction[0], direction[2])
+    walk = [np.asarray(position) + SLOW_M * k * ahead for k in range(FRAMES)]
+    set_view(page, walk[0].tolist(), direction)
+    covered = picture(page, "coverage").any(-1)
+    found = []
+    for impostors in (False, True):
+        page.evaluate("impostors => farfield.setMode({impostors})", impostors)
+        frames = []
+        for p in walk:
+            set_view(page, p.tolist(), direction)
+            frames.append(picture(page)[covered] / 255)
+        found.append(float(np.abs(np.diff(np.array(frames), axis=0)).mean()))
+    return found[1], found[0]
 
 
 def save(folder: Path, name: str, view: Compared) -> None:

@@ -9,7 +9,7 @@ from accept.figures import Figures
 from accept.streets import Streets, StreetView, apart
 from browser.chromium import CHROMIUM, launch
 from browser.static_server import DIST, serving
-from pictures import Compared, compare, save
+from pictures import Compared, compare, save, shimmer
 
 DENSE = 1.5  # times the budget, as geometry
 STREETS, STREETS_APART_M, STREET_VIEWS = 3, 25.0, 600
@@ -20,6 +20,7 @@ class Walked:
     streets: list[StreetView]
     views: list[Compared]
     complaints: list[str]  # of the browser's console
+    shimmer: tuple[float, float]  # from frame to frame of a slow walk: with impostors, with geometry
 
 
 def walk(folder: Path, budget: int, figures: Figures, pictures: Path, name: str) -> Walked:
@@ -47,10 +48,11 @@ def walk(folder: Path, budget: int, figures: Figures, pictures: Path, name: str)
         page.goto(f"{url}/viewer/city")
         page.evaluate("farfield.ready()")
         views = [compare(page, street.position, street.direction) for street in streets]
+        change = shimmer(page, streets[0].position, streets[0].direction)
         browser.close()
     for k, view in enumerate(views):
         save(pictures, f"{name.replace(' ', '-')}-{k}", view)
-    return Walked(streets=streets, views=views, complaints=wrong)
+    return Walked(streets=streets, views=views, complaints=wrong, shimmer=change)
 
 
 def check_costs(walked: Walked, budget: int, figures: Figures, name: str) -> None:
