@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from farfield.settings import Settings, from_mapping, to_mapping
 from farfield.stages import Stage
 from farfield.store import jobs, scenes, tenants
 from farfield.store.artifacts import LocalArtifacts
-from farfield.store.engine import open_engine, write
+from farfield.store.engine import open_engine, read, write
 from farfield.store.fair import Host, next_shard
 from farfield.store.shards import put_artifact
 from farfield.store.tables import job, scene, shard, stage
@@ -193,3 +194,39 @@ def test_ten_thousand_jobs_are_listed_and_served_at_once(tmp_path, report):
         report(stage="service", work=work, input="10,000 jobs", seconds=seconds, rate=1 / seconds, unit="/s")
         assert seconds < 0.1, work
     engine.dispose()
+
+
+@pytest.mark.parametrize("supervised", [True, False])
+def test_recovery_after_a_workers_death(supervised, report):
+    """From SIGKILL of the worker to the claim of its shard by another: told by a supervisor, or only by the lease."""
+    lease_s = 60.0 if supervised else 8.0
+    with run_cluster("sqlite", workers=2, lease_s=lease_s, **TOY) as cluster:
+        wait_for(cluster, toy_job(cluster, shards=2), 120)
+        job_id = toy_job(cluster, shards=1, seconds=30.0)
+        held = None
+        while held is None:
+            time.sleep(0.1)
+            with read(cluster.engine) as tx:
+                held = tx.execute(
+                    sa.select(shard.c.id, shard.c.worker).join(stage, stage.c.id == shard.c.stage_id)
+                    .where(shard.c.job_id == job_id, shard.c.state == "running", stage.c.name == "viewspace",
+                           shard.c.kind == "run")
+                ).one_or_none()  # fmt: skip
+        name = held.worker.split(":")[0]
+        if not supervised:
+            cluster.children.pop(name).process.kill()  # nobody looks after it: as if its host were gone
+        else:
+            os.kill(cluster.pid(name), signal.SIGKILL)
+        began = time.monotonic()
+        while True:
+            with read(cluster.engine) as tx:
+                if (tx.scalar(sa.select(shard.c.attempt).where(shard.c.id == held.id)) or 0) > 1:
+                    break
+            time.sleep(0.02)
+            assert time.monotonic() - began < 120
+        seconds = time.monotonic() - began
+    how = "supervised" if supervised else f"lease of {lease_s:.0f} s"
+    report(
+        stage="service", work="recovery from a worker's death", input=how, seconds=seconds, rate=1 / seconds, unit="/s"
+    )
+    assert seconds < lease_s + 5.0
