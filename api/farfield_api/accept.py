@@ -79,7 +79,7 @@ def _link(path: Path, link: Path) -> None:
 
 def _store(service: State, tenant_id: str, file: Arrived, scene: Path, summary: dict[str, Any]) -> sa.Row[Any]:
     """Blobs first: a row never names what is not there."""
-    stored = {}
+    stored: dict[str, Any] = {}
     for part, path in (("inspect", scene.with_name("inspect.json")), ("picture", scene.with_name("picture.png"))):
         if path.is_file():
             stored[f"{part}_bytes"] = path.stat().st_size

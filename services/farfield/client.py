@@ -325,8 +325,10 @@ class _Sender:
     """What `sending` may do with a client."""
 
     def __init__(self, client: Client) -> None:
-        self.request, self.read, self.refuse = client._request, client._read, Refused
-        self.once = client._http.request
+        self.request, self.read, self.refuse, self._client = client._request, client._read, Refused, client
+
+    def once(self, method: str, path: str, **more: Any) -> httpx.Response:
+        return self._client._http.request(method, path, **more)
 
 
 def file_digest(path: Path) -> str:

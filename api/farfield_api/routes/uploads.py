@@ -203,6 +203,6 @@ def _shown(row: sa.Row[Any]) -> UploadReply:
     return UploadReply(
         id=row.id, name=row.name, state="refused" if row.refusal else "done" if row.scene_digest else waits,
         bytes=row.n_bytes, received=row.received, sha256=row.digest, scene=row.scene_digest,
-        problem=UploadProblem(**row.refusal) if row.refusal else None, created_at=iso(row.created_at),
-        expires_at=iso(row.expires_at), links=UploadLinks(self=f"/v1/uploads/{row.id}", scene=scene),
+        problem=UploadProblem(**row.refusal) if row.refusal else None, created_at=str(iso(row.created_at)),
+        expires_at=str(iso(row.expires_at)), links=UploadLinks(self=f"/v1/uploads/{row.id}", scene=scene),
     )  # fmt: skip

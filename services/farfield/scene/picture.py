@@ -53,8 +53,7 @@ def picture_from_above(scene: Scene) -> bytes | None:
 def _triangle_colors(scene: Scene) -> np.ndarray:
     """(T,3) f32 linear: base colour, the texture in the triangle's middle, the mean of the corners' colours, multiplied."""
     of_triangle = np.repeat(scene.primitive_material, np.diff(scene.primitive_triangle))
-    color, uv = (sum(c.take(scene.index[:, k], axis=0) for k in range(3)) / np.float32(3.0)
-                 for c in (scene.color[:, :3], scene.uv))  # fmt: skip
+    color, uv = _middles(scene, scene.color[:, :3]), _middles(scene, scene.uv)
     colors = np.asarray(scene.material_base_color[:, :3][of_triangle] * color, dtype=np.float32)
     texture, left = scene.material_texture[of_triangle], MOST_TEXTURE_PIXELS
     for x in range(len(scene.texture_byte) - 1):
@@ -66,9 +65,18 @@ def _triangle_colors(scene: Scene) -> np.ndarray:
             sides = min(opened.width, TEXTURE_PX), min(opened.height, TEXTURE_PX)
             small = linear_from_srgb(np.asarray(opened.convert("RGB").resize(sides, Image.Resampling.BOX)) / 255.0)
         here = np.flatnonzero(texture == x)
-        u, v = ((uv[here, k].astype(np.float64) % 1.0 * n).astype(np.int64).clip(0, n - 1) for k, n in enumerate(sides))
+        with np.errstate(invalid="ignore"):  # of coordinates that are beyond all measure
+            u, v = ((uv[here, k] % 1.0 * n).astype(np.int64).clip(0, n - 1) for k, n in enumerate(sides))
         colors[here] *= small[v, u].astype(np.float32)
     return colors
+
+
+def _middles(scene: Scene, column: np.ndarray) -> np.ndarray:
+    """(V,n) -> (T,n) f64: the mean over each triangle's corners."""
+    total = np.zeros((len(scene.index), column.shape[1]))
+    for k in range(3):
+        total += column.take(scene.index[:, k], axis=0)
+    return np.asarray(total / 3.0)
 
 
 def _srgb_bytes(linear: np.ndarray) -> np.ndarray:
