@@ -15,6 +15,8 @@ from farfield.pipeline import Step
 from farfield.stages import Queue, Stage
 from farfield_workers.table import Pipeline
 
+OPTIONAL = frozenset({Stage.EVALUATION, Stage.PROOF})
+
 
 def wishes(inputs):
     """Return what the scene file asks for, from the file or from the artifact of stage scene."""
@@ -75,11 +77,11 @@ def _step(stage, before):
 
 
 def _inputs_of(stage):
-    order = [s for s in Stage if s != Stage.SCENE]
+    order = list(Stage)
     if stage == Stage.PLACEMENTDB:
         return (Stage.VIEWSPACE,)
-    at = order.index(stage) if stage in order else 0
-    return tuple(order[:at])
+    # Nothing reads what a job can go on without.
+    return tuple(s for s in order[1 : max(order.index(stage), 1)] if s not in OPTIONAL)
 
 
 def _report(inputs, stages):
@@ -94,6 +96,6 @@ def _report(inputs, stages):
 PIPELINE = Pipeline(
     steps={stage: _step(stage, _inputs_of(stage)) for stage in Stage},
     report=_report,
-    optional=frozenset({Stage.EVALUATION}),
+    optional=OPTIONAL,
     isolated=frozenset({Stage.SCENE}),
 )
