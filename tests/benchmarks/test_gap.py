@@ -40,7 +40,7 @@ def folio() -> Level:
 LEVELS = {
     "town of 100 houses, 40 calls": (lambda: town_level(100, budget="40 calls", view_m=32.0), 1.05),
     "town of 400 houses, 60 calls": (lambda: town_level(400, budget="60 calls"), 1.2),
-    "town of 400 houses, 100 calls": (lambda: town_level(400), 1.5),  # few views need much: the bound is weak there
+    "town of 400 houses, 100 calls": (lambda: town_level(400), 1.2),
     "town of 1600 houses, 400 calls": (lambda: town_level(1600, view_m=96.0), 1.2),
     "cut-out of the demo city, 110 calls": (cutout_level, 1.2),
     "kenney-city, 60 calls": (lambda: real("kenney-city", budget="60 calls"), 1.25),

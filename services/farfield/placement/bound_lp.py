@@ -18,7 +18,7 @@ def dual_prices(
     row: np.ndarray, view: np.ndarray, saved: np.ndarray, *, cluster: np.ndarray, bytes: np.ndarray, need: np.ndarray,
     end: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
-    """Return (V,) f64 bytes that each view's whole need costs and (E,) f32 part of each earning that is paid; or None.
+    """Return (V,) f64 bytes that a unit of each view's need costs and (E,) f32 part of its bytes that each entry pays; or None.
 
     row, view, saved  as in Candidates; cluster, bytes  (N,); need  (V,) i64 >= 0; end  (C,) i32
     None: the solver found no optimum.
@@ -45,11 +45,10 @@ def dual_prices(
     if found.status != 0:
         return None
     dual = np.maximum(-found.ineqlin.marginals, 0) * unit
-    budget, weight = np.zeros(len(need)), np.ones(len(view), np.float32)
-    budget[needy] = dual[: len(needy)]
-    earned = budget[at_view] * gain
-    weight[entry] = np.divide(dual[len(needy) : len(needy) + m], earned, out=np.ones(m), where=earned > 0)
-    return budget, weight
+    price, part = np.zeros(len(need)), np.zeros(len(view), np.float32)
+    price[needy] = dual[: len(needy)] / need[needy]
+    part[entry] = dual[len(needy) : len(needy) + m] / bytes[at_owner]
+    return price, part
 
 
 def _paths(view: np.ndarray, node: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

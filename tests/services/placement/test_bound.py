@@ -67,10 +67,10 @@ def test_what_is_proven_from_the_linear_programme_is_its_optimum_rounded_up():
     """One view, clusters A and B below C; it needs 6. A and B: 3 and 5 bytes save 4 each; C: 9 bytes save 7."""
     row, view, saved = np.arange(4), np.zeros(3, np.int32), np.array([7, 4, 4])
     cluster, size, end = np.array([0, 1, 2], np.int32), np.array([9, 3, 5]), np.array([3, 2, 3], np.int32)
-    budget, weight = dual_prices(row, view, saved, cluster=cluster, bytes=size, need=np.array([6]), end=end)
-    # Best fractions: A whole, half of B: 3 + 2.5. A unit of need costs 5 / 4, of which A's bytes pay 3 of 5.
-    np.testing.assert_allclose(budget, [7.5])
-    np.testing.assert_allclose(weight[1], 3 / 5)
+    price, part = dual_prices(row, view, saved, cluster=cluster, bytes=size, need=np.array([6]), end=end)
+    # Best fractions: A whole, half of B: 3 + 2.5. A unit of need costs 5 / 4, so A earns 5 and pays all its bytes.
+    np.testing.assert_allclose(price, [5 / 4])
+    np.testing.assert_allclose(part[1:], 1)
     given = {"kind": np.zeros(3, np.uint8), "view_cell": np.zeros((3, 9)), "layers": np.ones(3, np.int32)}
     impostors = Impostors(cluster=cluster, bytes=size, cost=np.zeros(3, np.int64), **given)
     columns = {name: getattr(impostors, name) for name in Impostors.__slots__}
