@@ -76,8 +76,12 @@ def show_report(report: Mapping[str, Any], console: Console | None = None) -> No
         out.print(_curve(report))
     if report["hopeless"]:
         out.print(_hopeless(report))
-    for warning in [*report["warnings"], *report["not_baked"]]:
+    for warning in [*report["warnings"], *report["not_baked"], *map(_look, report.get("looks", ()))]:
         out.print(f"note: {warning}", markup=False, highlight=False)
+
+
+def _look(row: Mapping[str, Any]) -> str:
+    return f"{row['objects']:,} objects are {row['look']}: {row['geometry']:,} stay geometry, {row['flattened']:,} are baked as they stand"
 
 
 def cost_text(report: Mapping[str, Any], cost: int) -> str:

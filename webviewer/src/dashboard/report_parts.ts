@@ -165,6 +165,9 @@ export function worstViews(report: Report, placement: string): HTMLElement | nul
 
 export function notes(report: Report): HTMLElement | null {
   const lines = [...(report.warnings ?? []), ...(report.not_baked ?? [])];
+  for (const { look, objects, geometry, flattened } of report.looks ?? []) {
+    lines.push(`${plural(objects, "object")} ${look}: ${geometry} stay geometry, ${flattened} baked as they stand`);
+  }
   if (report.dropped_triangles) lines.push(`${plural(report.dropped_triangles, "triangle")} without area ignored`);
   if (!lines.length) return null;
   return part("nt-h", "Notes", "", null, h("ul", { class: "warn" }, ...lines.map((l) => h("li", { class: "q2" }, icon("note"), h("span", null, l)))));
