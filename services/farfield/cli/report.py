@@ -81,7 +81,8 @@ def show_report(report: Mapping[str, Any], console: Console | None = None) -> No
 
 
 def _look(row: Mapping[str, Any]) -> str:
-    return f"{row['objects']:,} objects are {row['look']}: {row['geometry']:,} stay geometry, {row['flattened']:,} are baked as they stand"
+    kept, baked = row["geometry"], row["flattened"]
+    return f"{row['objects']:,} objects are {row['look']}: {kept:,} stay geometry, {baked:,} are baked as they stand"
 
 
 def cost_text(report: Mapping[str, Any], cost: int) -> str:
