@@ -5,13 +5,14 @@ Problem  A heavy job makes 10^5 shards ready at once. A small one that comes lat
 Method   Nothing is ordered beforehand: whoever is free asks, and the tables answer. Of the tenants with work the one of
          which the least runs now is served; of its jobs the one of highest priority; of these the one of which the least
          runs now; what is equal goes to who was served longest ago, by the number of the claim and not by a clock; within
-         a job in plan order. A shard that does not fit beside what runs on the host is passed over, and others go first
+         a job in plan order, near enough. A shard that does not fit beside what runs on the host is passed over, and others go first
          for PATIENCE_S; then, unless its job runs somewhere, the host starts nothing else until it fits.
 Cost     Indexes only: what runs (as many rows as there are workers), the tenants with work, and the head of the index of a
          tenant's open jobs. None grows with the shards of a job.
 Tried    A queue of messages in order of submission: 10^5 shards of one job went before the one of the next.
 """
 
+import os
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from farfield.store.tables import job, shard, tenant
 
 PATIENCE_S = 60.0
 LONGEST_S = 120.0  # more than any shard is put off by
+ABREAST = 8  # first shards of a job, of which a worker takes one: all would else claim the same, and one get it
 LOOKS = 8  # shards that do not fit, before a worker gives up for now
 
 
@@ -90,7 +92,10 @@ def _of_tenant(tx: sa.Connection, tenant_id: str, queue: str, running: "Counter[
     if busy:
         found += tx.execute(_BUSY, {**of, "busy": busy}).all()
     best = min(found, key=lambda r: (r.priority, running[r.id], r.turn, r.id), default=None)
-    return tx.execute(_FIRST, {"job": best.id, "queue": queue}).one_or_none() if best is not None else None
+    if best is None:
+        return None
+    first = tx.execute(_FIRST, {"job": best.id, "queue": queue}).all()
+    return first[os.getpid() % len(first)] if first else None  # not all workers the same one
 
 
 # Statements are made once: to make one takes four times as long as to run it.
@@ -117,5 +122,5 @@ _IDLE = _JOBS.where(job.c.id.not_in(sa.bindparam("others", expanding=True))).lim
 _BUSY = _JOBS.where(job.c.id.in_(sa.bindparam("busy", expanding=True)))
 _FIRST = (
     sa.select(shard.c.id, shard.c.need_bytes, (now() - shard.c.ready_at).label("waited_s"), shard.c.job_id)
-    .where(shard.c.job_id == sa.bindparam("job"), _READY).order_by(shard.c.ordinal).limit(1)
+    .where(shard.c.job_id == sa.bindparam("job"), _READY).order_by(shard.c.ordinal).limit(ABREAST)
 )  # fmt: skip

@@ -261,9 +261,8 @@ def _room(tx: sa.Connection, host: Host | None, need_bytes: int) -> bool:
     if host is None or host.memory_bytes is None:
         return True
     if tx.dialect.name == "postgresql":
-        tx.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext("host " + host.name))))
-    beside = sa.select(sa.func.coalesce(sa.func.sum(shard.c.need_bytes), 0))
-    held = tx.scalar(beside.where(shard.c.state == "running", shard.c.host == host.name))
+        tx.execute(_LOCK_HOST, {"host": f"host {host.name}"})
+    held = tx.scalar(_HELD, {"host": host.name})
     return fits(Host(name=host.name, memory_bytes=host.memory_bytes), need_bytes, held=int(held or 0))
 
 
@@ -348,6 +347,10 @@ _TAKE = (
     )
     .returning(shard.c.tenant_id, shard.c.kind, shard.c.ordinal, shard.c.queue, shard.c.params, shard.c.attempt)
 )  # fmt: skip
+_LOCK_HOST = sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(sa.bindparam("host", type_=sa.String))))
+_HELD = sa.select(sa.func.coalesce(sa.func.sum(shard.c.need_bytes), 0)).where(
+    shard.c.state == "running", shard.c.host == sa.bindparam("host")
+)
 _STAGES = sa.select(stage).where(stage.c.job_id == sa.bindparam("job")).order_by(stage.c.ordinal)
 _others = tenant.alias()
 _SERVE_TENANT = (
