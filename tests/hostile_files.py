@@ -67,8 +67,8 @@ def heavy_files() -> Iterator[tuple[str, bytes]]:
     )
     yield "stars.obj", (small + "\n" + f"f {' '.join(map(str, range(1, 201)))}\n" * 2000).encode()
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
-    yield "objects.obj", (triangle + "".join(f"o {i}\nf 1 2 3\n" for i in range(50_000))).encode()
-    yield "materials.obj", (triangle + "".join(f"usemtl {i}\nf 1 2 3\n" for i in range(100_000))).encode()
+    yield "objects.obj", (triangle + "".join(f"o {i}\nf 1 2 3\n" for i in range(20_000))).encode()
+    yield "materials.obj", (triangle + "".join(f"usemtl {i}\nf 1 2 3\n" for i in range(30_000))).encode()
     yield "mtllibs.obj", (triangle + "mtllib a.mtl b.mtl\n" * 100_000 + "f 1 2 3\n").encode()
     yield "line.obj", (triangle + "f 1 2 3" + " " * 30_000_000).encode()
     yield "continued.obj", (triangle + "f 1 2 3\\\n" * 1_000_000).encode()
