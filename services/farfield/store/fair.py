@@ -5,8 +5,8 @@ Problem  A heavy job makes 10^5 shards ready at once. A small one that comes lat
 Method   Nothing is ordered beforehand: whoever is free asks, and the tables answer. Of the tenants with work the one of
          which the least runs now is served; of its jobs the one of highest priority; of these the one of which the least
          runs now; what is equal goes to who was served longest ago, by the number of the claim and not by a clock; within
-         a job in plan order, near enough. A shard that does not fit beside what runs on the host is passed over, and others go first
-         for PATIENCE_S; then, unless its job runs somewhere, the host starts nothing else until it fits.
+         a job in plan order, near enough. A shard that does not fit beside what runs on the host is passed over, and
+         others go first for PATIENCE_S; then, unless its job runs somewhere, the host starts nothing else until it fits.
 Cost     Indexes only: what runs (as many rows as there are workers), the tenants with work, and the head of the index of a
          tenant's open jobs. None grows with the shards of a job.
 Tried    A queue of messages in order of submission: 10^5 shards of one job went before the one of the next.
