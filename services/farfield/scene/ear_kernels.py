@@ -5,17 +5,17 @@ from numba import njit
 
 
 @njit(cache=True)
-def _turn(flat, a, b, c):  # type: ignore[no-untyped-def]
+def _turn(flat, a, b, c):
     return (flat[b, 0] - flat[a, 0]) * (flat[c, 1] - flat[a, 1]) - (flat[b, 1] - flat[a, 1]) * (flat[c, 0] - flat[a, 0])
 
 
 @njit(cache=True)
-def _same(flat, a, b):  # type: ignore[no-untyped-def]
+def _same(flat, a, b):
     return flat[a, 0] == flat[b, 0] and flat[a, 1] == flat[b, 1]
 
 
 @njit(cache=True)
-def clip_ears(flat, most, found):  # type: ignore[no-untyped-def]
+def clip_ears(flat, most, found):
     """Cut the first ear off, again and again, and fan what has none; return the corners tested, above `most` where it gave up.
 
     flat   (n,2) f64 corners, counter-clockwise; found (n-2,3) int64, filled

@@ -7,7 +7,7 @@ from numba import njit
 
 
 @njit(cache=True)
-def draw_from_above(position, index, triangles, matrix, colors, low_x, low_z, scale, height, image, most):  # type: ignore[no-untyped-def]
+def draw_from_above(position, index, triangles, matrix, colors, low_x, low_z, scale, height, image, most):
     """Draw the triangles [triangles[0], triangles[1]) of one object; return the pixels looked at, -1 beyond `most`.
 
     height (H,W) f64 metres, -inf where nothing is; image (H,W,3) f64; a pixel's centre decides, the highest point wins
