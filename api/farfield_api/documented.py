@@ -21,6 +21,11 @@ _MADE_UP = {
     "placement": "town", "path": "manifest.json", "message": "it is empty", "code": "SceneEmpty", "advice": "Look at the export.",
     "most": 64, "upload": "0a1b2c3d4e5f6071", "seconds": 60, "offset": 0, "received": 33_554_432,
 }  # fmt: skip
+ABOUT = (
+    "Every route but /livez, /readyz and POST /v1/session needs an API key or a session. An admin of the operator's tenant "
+    "acts in another with the header `Farfield-Tenant: ID`, and reads all with `*`. Answers carry `RateLimit`; refusals are "
+    "problems (RFC 9457) with a stable `code`; lists come in pages with `limit` and `cursor`; `If-None-Match` answers 304."
+)
 EVERYWHERE = (ours.KeyMissing, ours.KeyUnknown, ours.ScopeMissing, ours.TenantRefused, ours.RateLimited)
 CHANGES = (ours.CsrfMissing,)
 
@@ -61,6 +66,7 @@ def describe(document: dict[str, Any], open_routes: set[tuple[str, str]]) -> Non
 
     open_routes  (method, path) of those that need no key
     """
+    document["info"]["description"] = ABOUT
     parts = document.setdefault("components", {})
     parts.setdefault("schemas", {})["Problem"] = PROBLEM_SCHEMA
     parts["securitySchemes"] = {
