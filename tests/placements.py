@@ -1,7 +1,9 @@
 """Made-up placements for tests of the placement database: each stage's output by hand, seeded, self-consistent."""
 
+import hashlib
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from farfield.candidates.model import BOX
 from farfield.geometry.cells import build_cells
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.model import Placement
+from farfield.placementdb.write import build_files
 from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import BakeSettings, Settings
@@ -223,3 +226,14 @@ def glb(scene: Scene) -> bytes:
     binary = positions + indices
     body = len(text).to_bytes(4, "little") + b"JSON" + text + len(binary).to_bytes(4, "little") + b"BIN\0" + binary
     return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body
+
+
+def save(made: dict[str, Any], folder: Path) -> Path:
+    """Write what `farfield place` would: placement/ and scene.glb."""
+    level = glb(made["scene"])
+    made = made | {"digests": {"scene.glb": hashlib.sha256(level).hexdigest()}}
+    for name, content in build_files(**made).items():
+        (folder / "placement" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "placement" / name).write_bytes(content)
+    (folder / "scene.glb").write_bytes(level)
+    return folder

@@ -133,6 +133,7 @@ def run(args: argparse.Namespace) -> int:
                 write_files(executor.artifact(Stage.PLACEMENTDB), work / "done")
         text = json.dumps(report, indent=1, sort_keys=True) + "\n"
         (work / "done" / "report.json").write_text(text, encoding="utf-8")
+        (args.out / "certificate.json").unlink(missing_ok=True)  # of what `farfield verify` found in the old placement
         for name in WRITTEN:  # all is written by now: what was there before is never replaced by half a placement
             old = args.out / name
             shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)

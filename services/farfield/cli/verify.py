@@ -1,4 +1,4 @@
-"""`farfield verify DIR`: try to refute a placement with random views, from its files alone."""
+"""`farfield verify DIR`: try to refute a placement, from its files alone; what was tried goes to DIR/certificate.json."""
 
 import argparse
 import json
@@ -15,6 +15,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--views", type=int, default=10_000, metavar="N", help="views to try (default 10000)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="which views (default 0)")
     parser.add_argument(
+        "--climb", type=int, default=100, metavar="N",
+        help="search for the worst view of N cells, the worst cells first (default 100)",
+    )  # fmt: skip
+    parser.add_argument(
         "--pictures", type=int, default=0, metavar="N",
         help="also compare pictures with and without impostors, for N random (impostor, viewpoint) pairs (default 0)",
     )  # fmt: skip
@@ -24,15 +28,18 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 def run(args: argparse.Namespace) -> int:
     """Verify; exit 4 when a view refutes the placement."""
+    from farfield.evaluation.certificate import build_certificate, write_certificate
     from farfield.evaluation.verify import refuted, verify
 
     if args.views < 1:
         raise SettingsInvalid("--views", "must be at least 1")
     if args.seed < 0:
         raise SettingsInvalid("--seed", "must be at least 0")
+    if args.climb < 0:
+        raise SettingsInvalid("--climb", "must be at least 0")
     if args.pictures < 0:
         raise SettingsInvalid("--pictures", "must be at least 0")
-    found = verify(args.folder, views=args.views, seed=args.seed)
+    found = verify(args.folder, views=args.views, seed=args.seed, climbs=args.climb)
     failed = refuted(found)
     if args.pictures:
         from farfield.evaluation.proof.merge import merge_proofs
@@ -41,11 +48,18 @@ def run(args: argparse.Namespace) -> int:
         part = prove_apart(args.folder, 0, args.pictures, seed=args.seed, each=0)
         found["proof"] = merge_proofs([part], confidence=0.95)
         failed = failed or bool(found["proof"]["failed"])
+    try:
+        written = write_certificate(args.folder, build_certificate(args.folder, found, refuted=failed))
+    except OSError as error:  # a placement on a read-only disk is verified all the same
+        written = None
+        print(f"certificate.json was not written: {error.strerror}", file=sys.stderr)
     if args.json:
         json.dump(found, sys.stdout)
         print()
     else:
         _show(found)
+        if written:
+            print(f"certificate   {written}")
     return 4 if failed else 0
 
 
@@ -64,6 +78,13 @@ def _show(found: dict) -> None:
         table.add_row("worst_view", f"at ({at}) along ({along})")
         table.add_row("", f"cost {worst['cost']}, bound {worst['cost_bound']}, cell {worst['cell']}, "
                           f"{worst['objects']} objects, {worst['impostors']} impostors")  # fmt: skip
+    if (sought := found.get("climb")) and sought["cells"]:
+        gain = sought["median_gain"]
+        table.add_row(
+            "climb", f"{sought['views']} more views in {sought['cells']} of {sought['of_cells']} cells: the worst went from "
+            f"{sought['random_worst_ratio']:.4f} to {max(sought['worst_ratio'], sought['random_worst_ratio']):.4f}"
+            + (f", a cell's worst at median {100 * (gain - 1):.1f} % up" if gain is not None else ""),
+        )  # fmt: skip
     if found["in_hopeless_views"]:
         ratio = found["worst_hopeless_ratio"]
         table.add_row("hopeless", f"{found['in_hopeless_views']} views fell into hopeless ones, worst {ratio:.4f}")

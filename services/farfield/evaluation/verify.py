@@ -6,6 +6,8 @@ Method   Draw views: positions uniform over the boxes of the view space, directi
          eight stands on a face, edge or corner of a cell and looks along edges of the intervals, one in sixteen looks
          close to straight up or down. At each: look up, cull object boxes by clipping them against the view
          pyramid (`kernels`), measure what is left on the screen, and add up by the manifest's cost model.
+         Then, where asked, climb from the worst of them towards the worst view of each cell (`climb`).
+         Nothing here is shared with the stages that find views and place (an import contract): own clipping, own sum.
 Errs     Never downwards: a box that only touches the pyramid is drawn; costs are rounded up once, at the end.
 """
 
@@ -19,48 +21,68 @@ import numpy as np
 
 from farfield.errors import ColumnsAltered
 from farfield.evaluation import kernels
+from farfield.evaluation.climb import climb
 from farfield.evaluation.level import read_boxes, read_levels
 from farfield.placementdb.read import Lookup, Placement
 
 BOX_TOLERANCE = 1e-9  # of the largest coordinate: what float64 loses between two orders of the same transform
 
 
-def verify(folder: Path, *, views: int = 1000, seed: int = 0) -> dict[str, Any]:
+def verify(folder: Path, *, views: int = 1000, seed: int = 0, climbs: int = 0) -> dict[str, Any]:
     """Return what `views` random views of the placement in `folder` (DIR of `farfield place`) cost, as JSON values.
+
+    climbs  in how many cells to climb from the worst view known, the worst cells first; `climb` tells what that found
 
     over_budget       views over the budget outside hopeless problem views; 0 in a placement that is `valid`
     over_bound        views that cost more than the bound stated for them (hopeless ones included); 0, or a defect
     outside_view_cell impostors shown to a camera outside their view cell; 0, or a defect
     too_coarse        objects drawn at a level whose error is above the pixel error there; 0, or a defect
     worst_ratio       largest cost / budget outside hopeless views; worst_view is where
+    These five hold for climbed views, too; `views`, `in_problem_views` and `in_hopeless_views` count random ones only.
     Raises PlacementFileError where a file is missing or damaged, or scene.glb is not the level that was placed.
     """
     placement = Placement.open(folder / "placement")
     files = placement.check()
     check_level(placement, folder / "scene.glb")
-    manifest = placement.manifest
-    budget = max(int(manifest["budget"]["amount"]), 1)
-    camera = Eye(placement)
-    found: dict[str, Any] = {
-        "views": 0, "over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "too_coarse": 0, "in_problem_views": 0,
-        "in_hopeless_views": 0, "worst_ratio": 0.0, "worst_view": None, "worst_hopeless_ratio": None, "files": files,
-        "budget": int(manifest["budget"]["amount"]), "unit": manifest["budget"]["unit"], "seed": seed,
-        "verdict": manifest["verdict"],
-    }  # fmt: skip
+    trial = Trial(placement, seed=seed, files=files)
     for position, direction in draw_views(placement, views, seed):
-        v = placement.lookup(position, direction)
-        cost, n_objects = camera.cost(v, position, direction)
-        ratio = cost / budget
-        found["views"] += 1
-        found["in_problem_views"] += v.problem_view is not None
-        found["in_hopeless_views"] += v.hopeless
+        v = trial.see(position, direction)[1]
+        trial.found["views"] += 1
+        trial.found["in_problem_views"] += v.problem_view is not None
+        trial.found["in_hopeless_views"] += v.hopeless
+    if climbs:
+        trial.found["climb"] = _climb(trial, climbs)
+    return trial.found
+
+
+class Trial:
+    """A placement on trial: every view that is shown to it is counted, and the worst of all and of each cell kept."""
+
+    def __init__(self, placement: Placement, *, seed: int, files: int) -> None:
+        manifest = placement.manifest
+        self.placement, self.camera, self.seed = placement, Eye(placement), seed
+        self.worst: dict[int, tuple[float, np.ndarray, np.ndarray]] = {}  # of a cell: ratio, position, direction
+        self.found: dict[str, Any] = {
+            "views": 0, "over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "too_coarse": 0,
+            "in_problem_views": 0, "in_hopeless_views": 0, "worst_ratio": 0.0, "worst_view": None,
+            "worst_hopeless_ratio": None, "files": files, "budget": int(manifest["budget"]["amount"]),
+            "unit": manifest["budget"]["unit"], "seed": seed, "verdict": manifest["verdict"],
+        }  # fmt: skip
+
+    def see(self, position: np.ndarray, direction: np.ndarray) -> tuple[float | None, Lookup]:
+        """Return (cost / budget, None in a hopeless view; what is drawn) of a view, and count it."""
+        found, v = self.found, self.placement.lookup(position, direction)
+        cost, n_objects = self.camera.cost(v, position, direction)
+        ratio = cost / max(found["budget"], 1)
         found["over_bound"] += cost > v.cost_bound
-        found["outside_view_cell"] += sum(not camera.held(i, position) for i in v.impostors)
-        found["too_coarse"] += camera.too_coarse(v, position)
+        found["outside_view_cell"] += sum(not self.camera.held(i, position) for i in v.impostors)
+        found["too_coarse"] += self.camera.too_coarse(v, position)
         if v.hopeless:
             found["worst_hopeless_ratio"] = max(found["worst_hopeless_ratio"] or 0.0, ratio)
-            continue
+            return None, v
         found["over_budget"] += cost > found["budget"]
+        if v.cell not in self.worst or ratio > self.worst[v.cell][0]:
+            self.worst[v.cell] = ratio, position, direction
         if ratio > found["worst_ratio"] or found["worst_view"] is None:
             found["worst_ratio"] = ratio
             found["worst_view"] = {
@@ -68,7 +90,64 @@ def verify(folder: Path, *, views: int = 1000, seed: int = 0) -> dict[str, Any]:
                 "cost_bound": v.cost_bound, "problem_view": v.problem_view, "objects": n_objects,
                 "impostors": len(v.impostors),
             }  # fmt: skip
-    return found
+        return ratio, v
+
+
+def _climb(trial: Trial, most_cells: int) -> dict[str, Any]:
+    """Climb in the worst `most_cells` cells; return what that found beside the random views.
+
+    Cells come in the order of their worst random view; then those that no random view fell into, from their middle along
+    the interval for which the highest cost is stated.
+    """
+    placement, by_chance = trial.placement, trial.found["worst_ratio"]
+    boxes = np.array(placement.manifest["view_space"], dtype=np.float64)
+    cell_boxes = placement.index["node_box"][placement.index["cell_node"]] + placement.origin_m
+    for cell in range(len(cell_boxes) if len(trial.worst) < most_cells else 0):
+        if cell not in trial.worst:
+            direction = _worst_stated(placement, cell)
+            if direction is not None:
+                trial.see(_into(boxes, cell_boxes[cell].mean(0)), direction)
+    order = sorted(trial.worst, key=lambda c: (-trial.worst[c][0], c))[:most_cells]
+    climbs = []
+    for cell in order:
+        ratio, position, direction = trial.worst[cell]
+        climbs.append(
+            climb(
+                position, direction, cell_boxes[cell], lambda p, d: trial.see(_into(boxes, p), d)[0], start=ratio,
+                seed=(trial.seed, cell),
+            )
+        )  # fmt: skip
+    gains = sorted(c.found / c.start for c in climbs if c.start > 0)
+    return {
+        "cells": len(climbs), "of_cells": len(cell_boxes), "views": sum(c.views for c in climbs),
+        "random_worst_ratio": by_chance, "worst_ratio": max((c.found for c in climbs), default=0.0),
+        "median_gain": gains[len(gains) // 2] if gains else None, "largest_gain": gains[-1] if gains else None,
+    }  # fmt: skip
+
+
+def _worst_stated(placement: Placement, cell: int) -> np.ndarray | None:
+    """Return a direction in the interval whose stated cost is the highest of the cell's that are not hopeless."""
+    for k, entry in enumerate(placement.manifest["chunks"]):
+        first, stop = entry["cells"]
+        if first <= cell < stop:
+            chunk = placement.chunk(k)
+            a, b = chunk["cell_view"][cell - first : cell - first + 2]
+            cost = np.where(chunk["view_hopeless"][a:b] != 0, -1, chunk["view_cost"][a:b])
+            if len(cost) and cost.max() >= 0:
+                return _middle(placement, int(chunk["view_interval"][a + int(cost.argmax())]))
+    return None
+
+
+def _middle(placement: Placement, interval: int) -> np.ndarray:
+    """Return the direction (3,) in the middle of an interval, as docs/formats/placementdb.md numbers them."""
+    edges = placement.manifest["interval_edges"]
+    n = len(edges) - 1
+    face, j, i = interval // (n * n), interval // n % n, interval % n
+    direction = np.empty(3)
+    direction[face // 2] = -1.0 if face % 2 else 1.0
+    direction[(face // 2 + 1) % 3] = (edges[i] + edges[i + 1]) / 2
+    direction[(face // 2 + 2) % 3] = (edges[j] + edges[j + 1]) / 2
+    return direction
 
 
 def merge_found(found: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

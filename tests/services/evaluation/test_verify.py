@@ -1,6 +1,5 @@
 """`verify` sees what rays see, passes placements that keep their promise, and catches those that do not."""
 
-import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,20 +13,9 @@ from farfield.evaluation.level import read_boxes
 from farfield.evaluation.verify import Eye, draw_views, merge_found, refuted, verify
 from farfield.placementdb.layout import MANIFEST
 from farfield.placementdb.read import Placement
-from farfield.placementdb.write import build_files, sealed
+from farfield.placementdb.write import sealed
 from naive import evaluation as naive
-from placements import glb, made_up
-
-
-def save(made: dict[str, Any], folder: Path) -> Path:
-    """Write what `farfield place` would: placement/ and scene.glb."""
-    level = glb(made["scene"])
-    made = made | {"digests": {"scene.glb": hashlib.sha256(level).hexdigest()}}
-    for name, content in build_files(**made).items():
-        (folder / "placement" / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / "placement" / name).write_bytes(content)
-    (folder / "scene.glb").write_bytes(level)
-    return folder
+from placements import glb, made_up, save
 
 
 def change_manifest(folder: Path, **changes: Any) -> None:
