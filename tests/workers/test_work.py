@@ -79,7 +79,7 @@ def test_a_new_budget_recomputes_only_the_stages_that_read_it(in_process):
         fresh = tx.execute(
             sa.select(stage.c.name).join(shard).where(shard.c.job_id == second, shard.c.cached.is_(False)).distinct()
         ).scalars()  # fmt: skip
-        assert sorted(fresh) == ["evaluation", "placementdb"]
+        assert sorted(fresh) == ["evaluation", "placementdb", "proof"]
 
 
 def test_duplicate_messages_are_harmless(in_process):
