@@ -3,7 +3,7 @@ import { resolve } from "node:path";
 import { defineConfig } from "vitest/config";
 
 const here = import.meta.dirname;
-const pages = ["viewer", "jobs", "job", "report"].filter((name) => existsSync(resolve(here, `${name}.html`)));
+const pages = ["viewer", "jobs", "job", "report", "compare", "workers", "storage"].filter((name) => existsSync(resolve(here, `${name}.html`)));
 
 // Content security policy: no inline script, style or data: address may be emitted (assetsInlineLimit 0).
 export default defineConfig({

@@ -36,6 +36,9 @@ def add_pages(app: FastAPI, web: Path) -> None:
         app.add_api_route(path, lambda item: page(name), methods=["GET", "HEAD"], include_in_schema=False)
 
     add("/jobs", "jobs.html")
+    add("/compare", "compare.html")
+    add("/workers", "workers.html")
+    add("/storage", "storage.html")
     add_with("/jobs/{item}", "job.html")
     add_with("/jobs/{item}/report", "report.html")
     add_with("/viewer/{item}", "viewer.html")

@@ -1,6 +1,6 @@
 /** The API over fetch: same-origin cookie, CSRF token on what changes something, problems as errors with advice. */
-import type { JobRequest, Opening, Problem, Route, UploadListReply, UploadReply } from "./schema";
-import type { EventPage, JobDetail, JobPage, JobState, Scene, SceneObjects, Session, ShardPage } from "./types";
+import type { JobRequest, Opening, Problem, Route, UploadListReply, UploadReply, UsageReply } from "./schema";
+import type { DevicePage, EventPage, JobDetail, JobPage, JobState, Scene, SceneObjects, Session, ShardPage, Storage, WorkerPage } from "./types";
 
 /** The service said no: what is wrong, what to do, and which setting it is about. */
 export class Refused extends Error {
@@ -155,3 +155,9 @@ export async function startUpload(file: File, digest: string, signal: AbortSigna
 }
 
 export const readObjects = (digest: string): Promise<SceneObjects> => json("GET /v1/scenes/{digest}/objects", { path: { digest } });
+export const listDevices = (): Promise<DevicePage> => json("GET /v1/devices", { query: { limit: 200 } });
+
+/** The operator's: refused with 403 to anybody else. */
+export const listWorkers = (): Promise<WorkerPage> => json("GET /v1/workers");
+export const readStorage = (): Promise<Storage> => json("GET /v1/storage");
+export const readUsage = (): Promise<UsageReply> => json("GET /v1/usage");

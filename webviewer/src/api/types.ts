@@ -187,3 +187,55 @@ export interface DevicePage {
   devices: Device[];
   next: string | null;
 }
+
+export interface Capability {
+  cores: number;
+  memory_bytes: number;
+  version: string;
+  /** Known once it has made its OpenGL context. */
+  renderer: string | null;
+}
+
+export interface Worker {
+  name: string;
+  host: string;
+  queues: string[];
+  capability: Capability;
+  state: "busy" | "idle" | "silent" | "stopped";
+  started_at: string;
+  heartbeat_at: string;
+  silent_s: number;
+  shard: string | null;
+  stage: string | null;
+  shard_s: number | null;
+  done: number;
+  failed: number;
+  busy_seconds: number;
+  shards_per_minute: number;
+}
+
+export interface WorkerPage {
+  workers: Worker[];
+  /** Queue -> how many workers that live take from it. */
+  queues: Record<string, number>;
+}
+
+export interface StoredKind {
+  artifacts: number;
+  bytes: number;
+}
+
+export interface StoredTenant {
+  tenant: string;
+  name: string;
+  scenes: number;
+  scene_bytes: number;
+  jobs: number;
+  max_bytes: number | null;
+}
+
+export interface Storage {
+  kinds: Record<string, StoredKind>;
+  total: StoredKind;
+  tenants: StoredTenant[];
+}

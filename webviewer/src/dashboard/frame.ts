@@ -2,6 +2,7 @@
 import "../style/tokens.css";
 import "../style/base.css";
 import "../style/pages.css";
+import "../style/operations.css";
 import { explain, readSession, Refused, signIn, signOut } from "../api/client";
 import type { Session } from "../api/types";
 import { applyTheme, toggleTheme } from "../ui/theme";
@@ -30,11 +31,19 @@ export async function openPage(keys: [string, string][]): Promise<Session> {
   }
 }
 
+const NAV = [["/jobs", "Jobs"], ["/workers", "Workers"], ["/storage", "Storage"]] as const;
+
+/** Reports and comparisons belong to jobs. */
+function here(href: string): "page" | "true" | null {
+  if (location.pathname === href) return "page";
+  return href === "/jobs" && !NAV.some(([other]) => other === location.pathname) ? "true" : null;
+}
+
 function drawBar(): void {
   const mark = s("svg", { viewBox: "0 0 22 16", "aria-hidden": "true" }, s("path", { d: "M1 15V1l6 3v8zM10 12.5v-9l4 2v5zM17 10.6V5.4l3 1.4v2.4z", class: "mark-fill" }));
   document.getElementById("top")!.replaceChildren(
     h("a", { class: "mark", href: "/jobs" }, mark, "farfield"),
-    h("nav", { "aria-label": "Main" }, h("a", { href: "/jobs", "aria-current": "page" }, "Jobs")),
+    h("nav", { "aria-label": "Main" }, ...NAV.map(([href, word]) => h("a", { href, "aria-current": here(href) }, word))),
     h("div", { class: "end" },
       h("span", { id: "line", role: "status" }),
       h("button", { id: "sign-out", class: "btn plain", type: "button", hidden: true, onclick: () => void leave() }, "Sign out"),
