@@ -57,7 +57,6 @@ def climb(
             for k in rng.permutation(2 * len(moves)):
                 trial = at + moves[k // 2] * (1 if k % 2 else -1)
                 trial[:3] = np.clip(trial[:3], box[0], box[1])
-                trial[4] = np.clip(trial[4], -math.pi / 2, math.pi / 2)
                 ratio = ratio_at(trial[:3], _direction(*trial[3:]))
                 views += 1
                 if ratio is not None and ratio > best:
@@ -76,5 +75,6 @@ def _angles(direction: np.ndarray) -> tuple[float, float]:
 
 
 def _direction(yaw: float, pitch: float) -> np.ndarray:
+    """Return a unit direction; a pitch beyond a right angle leads over the pole, so that no climb ends there."""
     level = math.cos(pitch)
     return np.array([math.sin(yaw) * level, math.sin(pitch), -math.cos(yaw) * level])
