@@ -13,7 +13,8 @@ export class Walker {
   height = 0;
   readonly velocity: Vec3 = [0, 0, 0];
   private readonly boxes: readonly Box[];
-  private exact: Vec3 | null = null;
+  private readonly stated: Vec3 = [0, 0, -1];
+  private exact = false; // the direction is the stated one
 
   constructor(boxes: readonly Box[]) {
     this.boxes = boxes;
@@ -29,7 +30,7 @@ export class Walker {
 
   /** A direction set from outside is used to the last bit until the walker turns. */
   get direction(): Vec3 {
-    if (this.exact) return this.exact;
+    if (this.exact) return this.stated;
     const flat = Math.cos(this.pitch);
     return [-Math.sin(this.yaw) * flat, Math.sin(this.pitch), -Math.cos(this.yaw) * flat];
   }
@@ -41,15 +42,16 @@ export class Walker {
       const [low] = this.boxes[clampToBoxes(this.boxes, this.position, this.position)];
       this.height = this.position[1] - low[1];
     }
-    this.exact = [direction[0], direction[1], direction[2]];
-    const length = Math.hypot(...this.exact);
+    this.exact = true;
+    for (let a = 0; a < 3; a++) this.stated[a] = direction[a];
+    const length = Math.hypot(direction[0], direction[1], direction[2]);
     this.pitch = Math.asin(Math.max(-1, Math.min(1, direction[1] / length)));
     this.yaw = Math.atan2(-direction[0], -direction[2]);
   }
 
   turn(left: number, up: number): void {
     if (!left && !up) return;
-    this.exact = null;
+    this.exact = false;
     this.yaw += left;
     this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, this.pitch + up));
   }

@@ -13,6 +13,8 @@ export class FrameClock {
   readonly geometryCost = new Float64Array(FRAMES_KEPT);
   readonly late = new Uint8Array(FRAMES_KEPT);
   frames = 0;
+  /** Told the time of a frame, a second time where the GPU's own comes later. */
+  measured: ((frame: number, ms: number) => void) | null = null;
   readonly source: "gpu timer" | "frame interval";
   private readonly gl: WebGL2RenderingContext;
   private readonly timer: TimerQuery | null;
@@ -45,6 +47,7 @@ export class FrameClock {
     this.late[at] = late ? 1 : 0;
     const interval = this.beganAt - this.lastBegan;
     this.ms[at] = this.timer || interval > 250 ? cpuMs : Math.max(cpuMs, interval);
+    this.measured?.(this.frames, this.ms[at]);
     if (this.active) {
       this.gl.endQuery(this.timer!.TIME_ELAPSED_EXT);
       this.waiting.push({ query: this.active, frame: this.frames, cpuMs });
@@ -69,13 +72,17 @@ export class FrameClock {
     return last[last.length >> 1];
   }
 
-  private collect(): void {
+  /** Takes the times that the GPU has ready by now. */
+  collect(): void {
     const { gl, timer, waiting } = this;
     while (timer && waiting.length && gl.getQueryParameter(waiting[0].query, gl.QUERY_RESULT_AVAILABLE)) {
       const { query, frame, cpuMs } = waiting.shift()!;
       const disjoint = gl.getParameter(timer.GPU_DISJOINT_EXT);
       const gpuMs = (gl.getQueryParameter(query, gl.QUERY_RESULT) as number) / 1e6;
-      if (!disjoint && this.frames - frame <= FRAMES_KEPT) this.ms[frame % FRAMES_KEPT] = Math.max(cpuMs, gpuMs);
+      if (!disjoint && this.frames - frame <= FRAMES_KEPT) {
+        this.ms[frame % FRAMES_KEPT] = Math.max(cpuMs, gpuMs);
+        this.measured?.(frame, this.ms[frame % FRAMES_KEPT]);
+      }
       this.free.push(query);
     }
   }
