@@ -80,8 +80,8 @@ def downloaded(page, selector):
 
 def test_a_level_is_sent_placed_and_reported(page, service):
     sign_in(page, service)
-    page.set_input_files("#new input[type=file]", level("Städtchen (1).glb", shards=24, seconds=0.03))
-    page.wait_for_selector(".plan")
+    page.set_input_files("#new input[type=file]", level("Städtchen (1).glb", shards=24, seconds=0.03, picture=True))
+    page.wait_for_selector(".plan.seen image")
     preview = page.inner_text("#new")
     for said in (
         "Städtchen (1).glb",
@@ -90,9 +90,12 @@ def test_a_level_is_sent_placed_and_reported(page, service):
         "588 × 18 × 460 m",
         "split into 12",
         "1.5 to 1.8 m",
+        "910 cells × 1,536 directions",
     ):
         assert said in preview
     page.fill("#s-budget", "21")
+    page.select_option("#s-device", "laptop")
+    page.select_option("#s-priority", "high")
     page.click("text=Start job")
     page.wait_for_url("**/jobs/*")
     page.wait_for_selector("text=/[0-9]+ of [0-9]+ done/")
@@ -101,6 +104,10 @@ def test_a_level_is_sent_placed_and_reported(page, service):
     page.wait_for_selector(".tobe.inf", timeout=30_000)
     page.wait_for_selector(".map .cells")
     assert "184 of 231" in page.inner_text(".tobe")
+    assert "laptop" in page.inner_text(".facts")
+    job = page.evaluate("fetch('/v1/jobs/' + location.pathname.split('/')[2]).then(r => r.json())")
+    assert (job["priority"], job["settings"]["device"]) == ("high", "laptop")
+    assert "24 calls, against 21 calls now" in page.inner_text("#hopeless")
     assert page.inner_text("[data-stage=viewspace] span:last-child") == "24 / 24"
     cell = page.inner_text(".pick b")
     page.focus(".map")
@@ -155,6 +162,9 @@ def test_the_pages_work_with_the_keyboard_alone(page, service):
     page.wait_for_function(
         "[...document.querySelectorAll('.log pre .wh')].every(e => e.textContent.startsWith('viewspace'))"
     )
+    for key, stage in (("1", "scene"), ("4", "proof")):  # 14 soon after 1
+        page.keyboard.press(key)
+        assert page.inner_text(".stages button[aria-pressed=true] .n").split()[0] == stage
     page.keyboard.press("t")
     theme = page.evaluate("document.documentElement.dataset.theme")
     page.reload()

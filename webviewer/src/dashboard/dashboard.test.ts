@@ -6,7 +6,8 @@ import { csv } from "./csv";
 import { estimate, Ratchet } from "./estimate";
 import { ago, bearing, duration, metres, parseBudget, sentences, shortDigest, timeRange } from "./format";
 import { addHistory, apply, emptyState, lineOf, setShards, squares, type Shard } from "./job_state";
-import { boxesPath, planeOf } from "./scene_plan";
+import { DigitKeys } from "./digit_keys";
+import { boxesPath, pictureFrame, planeOf } from "./scene_plan";
 
 const NAMES = ["scene", "viewspace", "placement", "bake"] as const;
 
@@ -178,5 +179,23 @@ describe("places", () => {
     expect(plane.low[1]).toBeLessThan(0);
     expect(plane.high[1]).toBeGreaterThan(100);
     expect(boxesPath([[[0, 0, 0], [10, 1, 100]]], plane)).toBe("M0 0H10V100H0z");
+  });
+});
+
+describe("number keys", () => {
+  it("reach every stage: the first digit counts at once, a second one soon after makes a number of two", () => {
+    const keys = new DigitKeys();
+    expect([keys.press(1, 0, 14), keys.press(4, 500, 14)]).toEqual([1, 14]);
+    expect([keys.press(4, 600, 14), keys.press(1, 700, 14), keys.press(2, 800, 14)]).toEqual([4, 1, 12]); // 41 is none
+    expect([keys.press(1, 2000, 14), keys.press(3, 4000, 14)]).toEqual([1, 3]); // too late
+    expect([keys.press(0, 9000, 14), keys.press(1, 9100, 9), keys.press(2, 9200, 9)]).toEqual([0, 1, 2]);
+  });
+});
+
+describe("picture from above", () => {
+  it("lies on the plan pixel by pixel, its shorter side rounded up to whole pixels", () => {
+    const frame = pictureFrame([[10, 0, -5], [10 + 512, 3, -5 + 100.5]]);
+    expect(frame).toEqual({ x: 10, y: -5, width: 512, height: 101 });
+    expect(pictureFrame([[0, 0, 0], [588, 18, 460]]).height).toBeCloseTo((401 * 588) / 512);
   });
 });

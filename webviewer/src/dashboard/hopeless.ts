@@ -25,7 +25,14 @@ export function hopelessPanel(report: Report, placement: string, select?: (cell:
   return h("section", { class: "panel report-part", id: "hopeless", "aria-labelledby": "hh" },
     h("header", null, h("h2", { id: "hh" }, "Hopeless views"), h("span", { class: "small q" }, `${plural(total, "view")}${spread}`),
       h("div", { class: "end" }, report.culprits?.length ? h("div", { class: "seg noprint", role: "radiogroup", "aria-label": "Group by" }, radio("view", "By view"), radio("object", "By object")) : null,
-        h("button", { class: "btn plain noprint", type: "button", onclick: save }, "CSV"))), body);
+        h("button", { class: "btn plain noprint", type: "button", onclick: save }, "CSV"))), wayOut(report), body);
+}
+
+/** The smallest budget that all views meet with these candidates: what to ask for, or what to work towards. */
+function wayOut(report: Report): HTMLElement | null {
+  const smallest = report.smallest_budget?.text;
+  return smallest ? h("p", { class: "small q2" }, "Smallest budget that works: ", h("b", null, smallest), report.budget ? `, against ${report.budget} now. ` : ". ",
+    "Or make the objects to blame lighter: no impostor can stand for what is this near.") : null;
 }
 
 function byView(views: readonly HopelessView[], report: Report, placement: string, select?: (cell: number) => void): HTMLElement[] {

@@ -1,5 +1,5 @@
 /** /jobs/ID: where a job stands, live; once it is done its verdict, map and hopeless views. */
-import { cancelJob, explain, findScene, readEvents, readJob, readObjects, readReport, readShards, retryJob } from "../api/client";
+import { cancelJob, explain, findScene, readEvents, readJob, readReport, readShards, retryJob } from "../api/client";
 import { EventStream, type Line } from "../api/event_stream";
 import type { JobDetail, JobEvent } from "../api/types";
 import { estimate, Ratchet, type History } from "./estimate";
@@ -7,11 +7,13 @@ import { h } from "./element";
 import { confirmed, failed, main, note, onKey, openPage, showLine } from "./frame";
 import { clock } from "./format";
 import { hopelessPanel } from "./hopeless";
+import { DigitKeys } from "./digit_keys";
 import { drawHead, readHistories } from "./job_head";
 import { addHistory, apply, emptyState, setShards } from "./job_state";
 import { LogDrawer } from "./log_drawer";
+import { readPlan } from "./read_plan";
 import type { Report } from "./report_types";
-import { planCaption, scenePlan } from "./scene_plan";
+import { planCaption } from "./scene_plan";
 import { ShardGrid } from "./shard_grid";
 import { grown, StageStrip } from "./stage_strip";
 import { readMap, ViewMap } from "./view_map";
@@ -21,7 +23,7 @@ const REREAD_MS = 400;
 const TICK_MS = 1000;
 
 const id = decodeURIComponent(location.pathname.split("/").filter(Boolean)[1] ?? "");
-await openPage([["1–9", "stage"], ["L", "log"], ["V", "stand at the selected cell"]]);
+await openPage([["1 … 14", "stage by its number"], ["L", "log"], ["V", "stand at the selected cell"]]);
 await start().catch((error: unknown) => failed(main, error, "This job cannot be shown", () => location.reload()));
 
 async function start(): Promise<void> {
@@ -112,7 +114,8 @@ async function start(): Promise<void> {
   draw();
   void drawPlan(job, left);
   onKey("l", () => log.toggle());
-  for (let k = 1; k <= 9; k++) onKey(String(k), () => strip.pick(k - 1));
+  const digits = new DigitKeys();
+  for (let k = 0; k <= 9; k++) onKey(String(k), (e) => strip.pick(digits.press(k, e.timeStamp, job.stages.length) - 1));
   await readAllShards();
   const past = await readEvents(id, Math.max(0, job.last_event - LOG_EVENTS), LOG_EVENTS);
   addHistory(state, past.events.filter((e) => e.seq <= job.last_event));
@@ -152,10 +155,10 @@ async function drawPlan(job: JobDetail, where: HTMLElement): Promise<void> {
   const scene = await findScene(job.scene).catch(() => null);
   const boxes = job.settings.view_space?.boxes ?? scene?.suggested?.view_space.boxes;
   if (!scene?.bounds || !boxes || where.childElementCount) return;
-  const { objects } = await readObjects(job.scene).catch(() => ({ objects: [] }));
+  const plan = await readPlan(scene, scene.bounds, boxes);
   if (where.childElementCount) return;
   where.append(h("section", { class: "panel", "aria-labelledby": "ph" }, h("header", null, h("h2", { id: "ph" }, "View space from above"), h("span", { class: "small q" }, "cells are coloured once the job is done")),
-    h("div", { class: "map" }, scenePlan(objects.map((o) => o.box), scene.bounds, boxes)), h("p", { class: "small q2" }, planCaption(boxes))));
+    h("div", { class: "map" }, plan), h("p", { class: "small q2" }, planCaption(boxes))));
 }
 
 /** Counts of the running stage move with each shard, without asking again. */

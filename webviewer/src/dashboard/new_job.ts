@@ -1,5 +1,5 @@
 /** The panel of a new job: a level dropped or chosen, sent, looked at, its settings settled, started. */
-import { createJob, explain, findScene, readJob, readObjects, Refused } from "../api/client";
+import { createJob, explain, findScene, readJob, Refused } from "../api/client";
 import type { Settings } from "../api/schema";
 import type { Scene } from "../api/types";
 import { uploadScene, type UploadStep } from "../api/upload";
@@ -9,7 +9,8 @@ import { duration, metres, plural, sentences } from "./format";
 import { note, onKey } from "./frame";
 import { progressBar } from "./job_row";
 import { icon, stateMark } from "./icons";
-import { planCaption, scenePlan } from "./scene_plan";
+import { planCaption } from "./scene_plan";
+import { readPlan } from "./read_plan";
 import { SettingsForm } from "./settings_form";
 
 const FORMATS = ".glb,.gltf,.obj,.ply,.stl,.zip";
@@ -138,7 +139,7 @@ export class NewJob {
       start.disabled = true;
       try {
         // A refused request has made nothing; changed settings need a key of their own.
-        const job = await createJob({ scene: scene.digest, settings, name: scene.name }, `${key}-${attempt}`);
+        const job = await createJob({ scene: scene.digest, settings, name: scene.name, priority: form.priority }, `${key}-${attempt}`);
         this.created(job.links.page);
       } catch (error) {
         if (error instanceof Refused) attempt++;
@@ -173,8 +174,7 @@ async function drawPlan(scene: Scene, where: HTMLElement): Promise<void> {
   const boxes = scene.suggested.view_space.boxes;
   const hold = h("div", { class: "plan-box" }); // of the plan's size, so that nothing below jumps
   where.replaceChildren(hold, h("p", { class: "small q2" }, `from above; ${planCaption(boxes)}`));
-  const { objects } = await readObjects(scene.digest).catch(() => ({ objects: [] }));
-  hold.append(scenePlan(objects.map((o) => o.box), scene.bounds, boxes));
+  hold.append(await readPlan(scene, scene.bounds, boxes));
 }
 
 function facts(scene: Scene): HTMLElement {
@@ -186,6 +186,8 @@ function facts(scene: Scene): HTMLElement {
   }
   if (scene.materials !== undefined) rows.push(["Materials", `${count(scene.materials)}${scene.textures ? `, ${plural(scene.textures, "texture")}` : ""}`]);
   rows.push(["File", bytes(scene.bytes)]);
+  const work = scene.suggested?.work;
+  if (work) rows.push(["Work as suggested", `${count(work.cells)} cells × ${count(work.directions)} directions, about ${duration(work.seconds)}`]);
   return h("dl", { class: "kv" }, ...rows.flatMap(([k, v]) => [h("dt", null, k), h("dd", null, v)]));
 }
 

@@ -49,14 +49,26 @@ export function planCaption(viewSpace: readonly Box[]): string {
   return `${viewSpace.length > OUTLINED ? "shaded" : "dashed"}: where the camera may be`;
 }
 
-/** Footprints and the suggested view space. */
-export function scenePlan(objects: readonly Box[], bounds: Box, viewSpace: readonly Box[]): SVGSVGElement {
+const PICTURE_PX = 512; // of the longer side, services/farfield/scene/picture.py
+
+/** Where the picture from above lies, metres: its pixels are squares, its sides were rounded up to whole ones. */
+export function pictureFrame([low, high]: Box): { x: number; y: number; width: number; height: number } {
+  const extent = Math.max(high[0] - low[0], high[2] - low[2]);
+  const side = (axis: 0 | 2): number => (Math.max(1, Math.ceil(((high[axis] - low[axis]) * PICTURE_PX) / extent - 1e-9)) * extent) / PICTURE_PX;
+  return { x: low[0], y: low[2], width: side(0), height: side(2) };
+}
+
+/** Footprints, or a picture of the level from above where there is one, and the suggested view space over it. */
+export function scenePlan(objects: readonly Box[], bounds: Box, viewSpace: readonly Box[], picture: string | null = null): SVGSVGElement {
   const plane = planeOf([bounds], 1.5);
   const area = (bounds[1][0] - bounds[0][0]) * (bounds[1][2] - bounds[0][2]);
   // What covers much of the plan is ground or sky, whole or split into tiles: it would hide the rest.
   const within = (share: number): Box[] => objects.filter(([a, b]) => (b[0] - a[0]) * (b[2] - a[2]) < share * area);
   const small = within(0.01);
   const footprints = small.length > objects.length / 2 ? small : within(0.25);
-  return s("svg", { class: "plan", viewBox: viewBoxOf(plane), role: "img", "aria-label": "Plan of the level with the suggested view space" },
-    s("path", { class: "f", d: boxesPath(footprints, plane) }), s("path", { class: viewSpace.length > OUTLINED ? "v many" : "v", d: boxesPath(viewSpace, plane) }));
+  const shown = picture !== null && area > 0;
+  const seen = shown ? s("image", { href: picture, ...pictureFrame(bounds), preserveAspectRatio: "none" }) : null;
+  seen?.addEventListener("error", () => seen.remove()); // the view space alone says where things are
+  return s("svg", { class: shown ? "plan seen" : "plan", viewBox: viewBoxOf(plane), role: "img", "aria-label": shown ? "The level from above with the suggested view space" : "Plan of the level with the suggested view space" },
+    seen, s("path", { class: "f", d: boxesPath(footprints, plane) }), s("path", { class: viewSpace.length > OUTLINED ? "v many" : "v", d: boxesPath(viewSpace, plane) }));
 }

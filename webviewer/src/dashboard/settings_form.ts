@@ -1,9 +1,11 @@
 /** The settings of a new job: what was suggested and why, each of them to be changed; only what was changed is sent. */
+import { listDevices } from "../api/client";
 import type { Settings } from "../api/schema";
 import type { Scene } from "../api/types";
 import { h } from "./element";
 import { metres, parseBudget } from "./format";
 
+const DEVICE = "reference"; // of services/farfield/settings.py
 const INTERVALS = ["90", "45", "22.5", "11.25", "5.625"];
 
 export class SettingsForm {
@@ -13,6 +15,7 @@ export class SettingsForm {
   private readonly inputs: Record<string, HTMLInputElement | HTMLSelectElement> = {};
   private readonly errors = new Map<string, HTMLElement>();
   private readonly base: Settings;
+  private readonly order = h("select", { id: "s-priority" }, ...["high", "normal", "low"].map((word) => h("option", { selected: word === "normal" }, word)));
 
   /** `base` are settings to start from: those of the job that is run again, or none. */
   constructor(scene: Scene, base: Settings) {
@@ -40,8 +43,29 @@ export class SettingsForm {
     fields.push(...this.number("camera.fov_deg", "Field of view", "vertical", String(base.camera?.fov_deg ?? 45), "°"));
     fields.push(...this.number("camera.width", "Picture width", "the largest that the guarantee holds for", String(base.camera?.width ?? 1280), "px"));
     fields.push(...this.number("camera.height", "Picture height", "", String(base.camera?.height ?? 720), "px"));
+    fields.push(...this.target(base));
     this.fields = fields;
     for (const input of Object.values(this.inputs)) input.dataset.was = input.value;
+  }
+
+  /** What the budget's milliseconds are counted on, and before which other jobs this one runs. */
+  private target(base: Settings): HTMLElement[] {
+    const named = base.device ?? DEVICE;
+    const device = h("select", { id: "s-device" }, h("option", { value: named, selected: true }, named));
+    this.inputs["device"] = device;
+    const fields = [h("label", { for: device.id }, "Device", h("small", null, "what a budget in ms is counted on")), device, this.error("device")];
+    void listDevices().then(({ presets, devices }) => {
+      const known = new Set([named]);
+      const option = (name: string, text: string, disabled = false): HTMLElement | null => (known.has(name) ? null : (known.add(name), h("option", { value: name, disabled }, text)));
+      device.append(...presets.map((p) => option(p.name, p.name)).filter((o) => o !== null));
+      const own = devices.map((d) => option(d.name, d.profile ? d.name : `${d.name}: needs more samples`, d.profile === null)).filter((o) => o !== null);
+      if (own.length) device.append(h("optgroup", { label: "Measured" }, ...own));
+    }, () => undefined); // the one that it starts with can be used all the same
+    return [...fields, h("label", { for: this.order.id }, "Priority", h("small", null, "before or after your other jobs")), this.order];
+  }
+
+  get priority(): "high" | "normal" | "low" {
+    return this.order.value as "high" | "normal" | "low";
   }
 
   private number(key: string, label: string, why: string, value: string, unit: string): HTMLElement[] {
@@ -72,6 +96,11 @@ export class SettingsForm {
     if (!parseBudget(settings["budget"] as string)) return this.refuse("budget", "a number, such as 16 or 1300");
     for (const [key, input] of Object.entries(this.inputs)) {
       if (key === "budget" || input.value === input.dataset.was) continue;
+      if (key === "device") {
+        settings["device"] = input.value;
+        delete settings["device_profile"]; // the figures of the device before
+        continue;
+      }
       const text = input.value.trim().replace(",", ".");
       if (text === "" || !Number.isFinite(Number(text))) return this.refuse(key, "a number");
       const [group, name] = key.split(".");

@@ -1,9 +1,27 @@
 /** The stages of a job in a row: bars linear in time, the longest full; skipped ones hatched, reasons in full below. */
+import type { Stage } from "../api/schema";
 import type { StageRow } from "../api/types";
 import { bytes } from "../ui/format";
 import { h, refill } from "./element";
 import { duration, plural } from "./format";
 import { icon, stageIcon } from "./icons";
+
+const DOES: Record<Stage, string> = {
+  scene: "reads the level into objects",
+  hierarchy: "groups objects into clusters",
+  detail: "makes coarser levels of detail",
+  rendertime: "says what drawing each object costs",
+  visibility: "finds what each cell can see",
+  viewspace: "finds all views over budget",
+  candidates: "weighs impostors that would help",
+  placement: "picks the lightest that meet the budget",
+  bake: "draws their layers",
+  repair: "mends what the bake made heavier or slower",
+  bound: "proves what no placement can weigh less than",
+  placementdb: "writes the files that the viewer reads",
+  evaluation: "checks the guarantee on random views",
+  proof: "compares pictures with and without impostors",
+};
 
 export class StageStrip {
   readonly element = h("div");
@@ -22,7 +40,7 @@ export class StageStrip {
     stages.forEach((stage, k) => {
       let item = this.items.get(stage.name);
       if (!item) {
-        const button = h("button", { type: "button", "aria-pressed": "false", onclick: () => this.toggle(stage.name) });
+        const button = h("button", { type: "button", "aria-pressed": "false", title: `${k + 1}: ${DOES[stage.name] ?? stage.name}`, onclick: () => this.toggle(stage.name) });
         this.items.set(stage.name, (item = h("li", null, button)));
         this.list.append(item);
       }
