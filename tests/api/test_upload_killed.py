@@ -113,5 +113,7 @@ def test_an_upload_survives_the_kill_of_either_side(api, tmp_path, request):
     assert (told["digest"], told["bytes"], file_digest(blob)) == (digest, n_bytes, digest)
     assert os.listdir(folder) == []
     api.look()
-    print(f"\n{n_bytes >> 20} MiB in {seconds:.1f} s across two kills; the API took at most {api.peak_bytes / 2**20:.0f} MiB")
+    print(
+        f"\n{n_bytes >> 20} MiB in {seconds:.1f} s across two kills; the API took at most {api.peak_bytes / 2**20:.0f} MiB"
+    )
     assert api.peak_bytes < 100 << 20 or not request.config.getoption("--bench")

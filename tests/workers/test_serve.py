@@ -89,7 +89,9 @@ def test_a_small_job_ends_long_before_a_heavy_one_that_came_first(served, tmp_pa
     small.write_text(json.dumps({"seconds": 0.1, "shards": 3}))
     first = json.loads(_submit(served, heavy).stdout)["id"]
     end = time.monotonic() + 60
-    while not served.client.get(f"/v1/jobs/{first}/stages/viewspace/shards").json()["shards"] and time.monotonic() < end:
+    while (
+        not served.client.get(f"/v1/jobs/{first}/stages/viewspace/shards").json()["shards"] and time.monotonic() < end
+    ):
         time.sleep(0.05)
     done = _submit(served, small, "--watch")
     assert done.returncode == 0, done.stderr

@@ -38,8 +38,8 @@ KILLED_S = 5.0
 def worker_command(queues: str, *, name: str = "worker") -> list[str]:
     """Return the command of one worker: `-P solo`, because a baker's OpenGL context must not exist in a parent."""
     return [
-        sys.executable, "-W", "ignore:You're running the worker", "-m", "celery", "-q", "-A", "farfield_workers.app", "worker",
-        "-P", "solo", "-Q", queues,
+        sys.executable, "-W", "ignore:You're running the worker", "-m", "celery", "-q", "-A", "farfield_workers.app",
+        "worker", "-P", "solo", "-Q", queues,
         "-n", f"{name}@%h", "--without-gossip", "--without-mingle", "--without-heartbeat",
     ]  # fmt: skip
 
