@@ -4,6 +4,7 @@
 
 /viewer/NAME                              webviewer/dist/viewer.html
 /v1/placements/NAME/scene.glb             DIR/scene.glb
+/v1/placements/NAME/report.json           DIR/report.json, {} where there is none
 /v1/placements/NAME/manifest.json, ...    DIR/placement/...
 anything else                             webviewer/dist
 """
@@ -18,8 +19,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 DIST = ROOT / "webviewer" / "dist"
 POLICY = (
-    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob:; connect-src 'self' blob: data:; "
-    "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self' blob: data:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
 TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
@@ -38,7 +39,7 @@ def find(path: str, placements: Mapping[str, Path]) -> Path | None:
         found = DIST / f"{parts[0]}.html"
     elif parts[:2] == ["v1", "placements"] and len(parts) > 3 and parts[2] in placements:
         folder = placements[parts[2]]
-        found = (folder if parts[3:] == ["scene.glb"] else folder / "placement").joinpath(*parts[3:])
+        found = (folder if parts[3:] in (["scene.glb"], ["report.json"]) else folder / "placement").joinpath(*parts[3:])
     else:
         found = DIST.joinpath(*parts)
     return found if found.is_file() else None
@@ -54,6 +55,8 @@ def serving(placements: Mapping[str, Path], *, port: int = 0, trouble: Trouble |
         def do_GET(self) -> None:
             made = trouble(self.path) if trouble else None
             found = find(self.path, placements)
+            if made is None and found is None and self.path.endswith("/report.json"):
+                made = b"{}"
             if isinstance(made, int) or (made is None and found is None):
                 self.send_response(made if isinstance(made, int) else 404)
                 self.send_header("content-length", "0")

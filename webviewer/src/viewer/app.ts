@@ -7,26 +7,40 @@ import { LOOK_AHEAD_S } from "../stream/plan";
 import type { Traffic } from "../stream/files";
 import { Streamer } from "../stream/streamer";
 import { byId, setShown, setText } from "../ui/dom";
+import { TOGGLE_LETTERS, readShared, sharedFragment } from "../ui/share_link";
 import { toggleTheme } from "../ui/theme";
+import { reasonOf, type FrameFacts } from "../walk/log";
 import { Walker } from "./camera";
 import { Controls } from "./controls";
+import { Difference } from "./difference";
 import type { Engine, Modes } from "./engine";
 import { FrameClock } from "./frame_clock";
 import { Overlay, type Counts } from "./overlay";
 import { Panorama } from "./panorama";
+import { Walks } from "./walks";
+import { WorstViews, readWorstViews, type WorstView } from "./worst_views";
 
 const OVERLAY_EVERY_MS = 100;
 const PLAN_EVERY_MS = 250;
 const REST_MS = 300;
 const TOGGLES: Record<string, keyof Modes> = {
-  "t-impostors": "impostors", "t-split": "split", "t-layers": "layers", "t-cells": "cells", "t-freeze": "freeze",
+  "t-impostors": "impostors", "t-split": "split", "t-beside": "beside", "t-layers": "layers", "t-cells": "cells", "t-freeze": "freeze",
 };
-const KEYS: Record<string, string> = { i: "t-impostors", x: "t-split", l: "t-layers", c: "t-cells", f: "t-freeze", g: "t-fly" };
+const KEYS: Record<string, string> = {
+  i: "t-impostors", x: "t-split", b: "t-beside", e: "t-difference", l: "t-layers", c: "t-cells", f: "t-freeze", g: "t-fly", r: "b-record",
+  p: "b-replay", y: "b-link",
+};
+const LETTERS: Record<string, keyof Modes> = { i: "impostors", x: "split", b: "beside", l: "layers", c: "cells" };
+
+export type Switches = Partial<Modes & { free: boolean; overlay: boolean; difference: boolean }>;
 
 export class App {
   readonly walker: Walker;
   readonly streamer: Streamer;
   readonly counts: Counts = { promised: 0, over: 0, overForStreaming: 0 };
+  readonly walks: Walks;
+  readonly difference: Difference;
+  private readonly worst: WorstViews;
   private readonly controls: Controls;
   private readonly clock: FrameClock;
   private readonly overlay: Overlay;
@@ -37,22 +51,33 @@ export class App {
   private wroteAt = 0;
   private movedAt = 0;
   private panoramaFor = "";
+  private readonly facts: FrameFacts = {
+    calls: 0, triangles: 0, impostors: 0, waiting: 0, cost: 0, geometryCost: 0, cell: -1, problemView: -1, reason: 0,
+  };
 
   constructor(
     readonly engine: Engine,
     readonly placement: Placement,
     private readonly traffic: Traffic,
     private readonly canvas: HTMLCanvasElement,
+    id: string,
   ) {
     this.walker = new Walker(placement.manifest.view_space);
     this.streamer = new Streamer(placement, engine.pages, () => this.touch());
     this.clock = new FrameClock(engine.gl);
     this.overlay = new Overlay(engine, this.clock);
     this.panorama = new Panorama(placement);
+    this.walks = new Walks(this.walker, this.clock, placement.manifest, id);
+    this.difference = new Difference(engine);
+    this.worst = new WorstViews(placement.manifest, id, (view) => this.goTo(view));
     this.controls = new Controls(canvas, byId<SVGElement>("stick"), this.walker, {
       key: (key) => this.key(key),
       tap: (x, y) => this.pick(x, y),
-      moved: () => this.touch(),
+      moved: () => {
+        this.movedAt = performance.now();
+        this.worst.leave();
+        this.touch();
+      },
     });
     this.connect();
     new ResizeObserver(() => this.fit()).observe(byId("main"));
@@ -65,6 +90,49 @@ export class App {
     this.dirty = 2;
   }
 
+  /** Follows a link: view, toggles, held cell and walk, as far as it names them. */
+  follow(fragment: string): void {
+    const { view, show, cut, held, walk, refused } = readShared(fragment);
+    if (view) {
+      this.walks.stop();
+      this.walker.look(view.position, view.direction);
+    }
+    if (show !== null) {
+      const on = Object.fromEntries(Object.entries(LETTERS).map(([letter, mode]) => [mode, show.includes(letter)]));
+      this.setMode({ ...on, difference: show.includes("e"), free: show.includes("g"), freeze: false });
+      if (view) this.walker.look(view.position, view.direction); // free flight keeps what the view space does not hold
+    }
+    if (cut !== null) this.setMode({ splitAt: cut });
+    if (held && this.engine.hold(held.cell, held.interval)) this.setMode({ freeze: true });
+    if (walk) this.walks.take(walk);
+    if (refused) this.walks.say(refused);
+    this.touch();
+  }
+
+  /** The fragment of a link to what is seen now, with toggles and walk. */
+  shared(): string {
+    const { modes, situation } = this.engine;
+    const on = (letter: string): boolean =>
+      letter === "e" ? this.difference.on : letter === "g" ? this.walker.free : Boolean(modes[LETTERS[letter]]);
+    return sharedFragment({
+      view: { position: [...this.walker.position], direction: [...this.walker.direction] },
+      show: [...TOGGLE_LETTERS].filter(on).join(""), cut: modes.split ? modes.splitAt : null,
+      held: modes.freeze && situation.cell >= 0 ? { cell: situation.cell, interval: situation.interval } : null, walk: this.walks.walk,
+    });
+  }
+
+  /** The report's worst views become bookmarks; `report` as parsed, null where there is none. */
+  offerWorstViews(report: unknown): void {
+    this.worst.show(readWorstViews(report));
+  }
+
+  private goTo(view: WorstView): void {
+    this.walks.stop();
+    this.setMode({ free: false, freeze: false });
+    this.walker.look(view.position, view.direction);
+    this.touch();
+  }
+
   /** Sizes the canvas: the manifest's aspect, never more pixels than the manifest's, letterboxed in the window. */
   fit(): void {
     const { width, height } = this.placement.manifest.camera;
@@ -75,6 +143,7 @@ export class App {
     style.height = `${height * scale}px`;
     style.left = `${(box.width - width * scale) / 2}px`;
     style.top = `${(box.height - height * scale) / 2}px`;
+    Object.assign(byId("difference").style, { width: style.width, height: style.height, left: style.left, top: style.top });
     const share = Math.min(1, scale * devicePixelRatio);
     this.resize(Math.max(1, Math.round(width * share)), Math.max(1, Math.round(height * share)));
     this.placeSplit();
@@ -105,9 +174,12 @@ export class App {
     }
   }
 
-  setMode(modes: Partial<Modes & { free: boolean; overlay: boolean }>): void {
-    const { free, overlay, ...rest } = modes;
+  setMode(modes: Switches): void {
+    const { free, overlay, difference, ...rest } = modes;
+    if (rest.split) rest.beside = false;
+    else if (rest.beside) rest.split = false;
     Object.assign(this.engine.modes, rest);
+    if (difference !== undefined) this.difference.set(difference);
     if (free !== undefined) this.walker.setFree(free);
     if (overlay !== undefined) {
       for (const e of document.querySelectorAll<HTMLElement>(".overlay:not(#picked)")) e.hidden = !overlay;
@@ -115,6 +187,7 @@ export class App {
     }
     for (const [id, mode] of Object.entries(TOGGLES)) byId<HTMLInputElement>(id).checked = Boolean(this.engine.modes[mode]);
     byId<HTMLInputElement>("t-fly").checked = this.walker.free;
+    byId<HTMLInputElement>("t-difference").checked = this.difference.on;
     if (!this.engine.modes.layers) setShown("picked", false);
     this.placeSplit();
     this.touch();
@@ -124,21 +197,29 @@ export class App {
     requestAnimationFrame((later) => this.frame(later));
     const seconds = Math.min(0.1, (now - this.lastMs) / 1000);
     this.lastMs = now;
-    if (this.controls.advance(seconds)) {
+    this.clock.collect();
+    if (this.walks.replaying) {
       this.movedAt = now;
       this.touch();
+    } else if (this.controls.advance(seconds)) {
+      this.movedAt = now;
+      this.worst.leave();
+      this.touch();
     }
+    this.walks.advance(now);
     this.streamer.upload(1);
     if (this.locate(now - this.plannedAt > PLAN_EVERY_MS)) this.touch();
     if (this.dirty > 0) {
       this.dirty--;
       this.draw();
+      this.difference.clear();
     }
     if (now - this.wroteAt > OVERLAY_EVERY_MS) {
       this.wroteAt = now;
       this.overlay.write(this.counts, this.streamer, this.traffic);
       this.overlay.writeHeading(this.walker.yaw);
       this.writeOutside();
+      if (this.walks.recording || this.walks.replaying) this.walks.write();
       if (now - this.movedAt > REST_MS) this.lookAround();
     }
   }
@@ -156,6 +237,22 @@ export class App {
     if (over) this.counts.over++;
     if (late) this.counts.overForStreaming++;
     clock.end(s.cost, s.geometryCost, late);
+    if (this.walks.replaying) this.tellWalk(promised);
+  }
+
+  private tellWalk(promised: boolean): void {
+    const { facts: f, engine } = this;
+    const { selection: s, situation, drawn } = engine;
+    f.calls = drawn.calls;
+    f.triangles = drawn.triangles;
+    f.impostors = engine.modes.impostors ? situation.shown.length : 0;
+    f.waiting = situation.impostors - situation.shown.length;
+    f.cost = s.cost;
+    f.geometryCost = s.geometryCost;
+    f.cell = situation.cell;
+    f.problemView = situation.problemView ?? -1;
+    f.reason = reasonOf(s.cost > this.placement.manifest.budget.amount, promised, situation.hopeless, situation.waiting);
+    this.walks.drawn(f);
   }
 
   private locate(replan: boolean): boolean {
@@ -170,7 +267,12 @@ export class App {
   }
 
   private lookAround(): void {
-    const { position, pitch } = this.walker;
+    const { position, direction, pitch } = this.walker;
+    if (this.difference.on && this.engine.level.ready && !this.engine.situation.waiting) {
+      const { width, height } = this.canvas;
+      const key = `${position} ${direction} ${width} ${height} ${this.engine.version}`;
+      if (this.difference.rest(key, position, direction)) this.engine.draw(position, direction);
+    }
     const key = `${position} ${pitch} ${this.placement.residentChunk(this.engine.situation.chunk) ? 1 : 0}`;
     if (key === this.panoramaFor) return;
     this.panoramaFor = key;
@@ -218,6 +320,10 @@ export class App {
   private key(key: string): boolean {
     if (KEYS[key]) {
       byId<HTMLInputElement>(KEYS[key]).click();
+    } else if (key >= "1" && key <= "9") {
+      return this.worst.open(Number(key) - 1);
+    } else if (key === "Enter" && document.activeElement === this.canvas) {
+      this.pick(0.5, 0.5);
     } else if (key === "h") {
       const hidden = Boolean(byId("main").querySelector<HTMLElement>(".overlay")!.hidden);
       this.setMode({ overlay: hidden });
@@ -239,7 +345,12 @@ export class App {
       byId<HTMLInputElement>(id).addEventListener("change", (e) => this.setMode({ [mode]: (e.target as HTMLInputElement).checked }));
     }
     byId<HTMLInputElement>("t-fly").addEventListener("change", (e) => this.setMode({ free: (e.target as HTMLInputElement).checked }));
-    byId("b-theme").addEventListener("click", toggleTheme);
+    byId<HTMLInputElement>("t-difference").addEventListener("change", (e) => this.setMode({ difference: (e.target as HTMLInputElement).checked }));
+    byId("b-link").addEventListener("click", () => void this.copyLink());
+    byId("b-theme").addEventListener("click", () => {
+      toggleTheme();
+      this.touch(); // the difference has the theme's colours
+    });
     byId("b-keys").addEventListener("click", () => {
       const shown = Boolean(byId("keys").hidden);
       setShown("keys", shown);
@@ -260,6 +371,12 @@ export class App {
       e.preventDefault();
       move(this.engine.modes.splitAt + (e.key === "ArrowLeft" ? -0.01 : 0.01));
     });
+  }
+
+  private async copyLink(): Promise<void> {
+    history.replaceState(null, "", this.shared());
+    const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
+    this.walks.say(copied ? "Link copied: it holds view, toggles and walk." : "The address now holds view, toggles and walk: copy it.");
   }
 
   private placeSplit(): void {

@@ -30,7 +30,8 @@ export interface Modes {
   impostors: boolean;
   layers: boolean;
   cells: boolean;
-  split: boolean;
+  split: boolean; // swipe: one picture, geometry right of the divider
+  beside: boolean; // side by side: the middle half of the picture twice, geometry on the right
   freeze: boolean;
   splitAt: number; // share of the width that shows impostors
   background: [number, number, number]; // sRGB, 0 to 1
@@ -56,7 +57,7 @@ export class Engine {
   readonly pages: PageArray;
   readonly level: LevelMesh;
   readonly modes: Modes = {
-    impostors: true, layers: false, cells: false, split: false, freeze: false, splitAt: 0.5, background: [0.62, 0.74, 0.82],
+    impostors: true, layers: false, cells: false, split: false, beside: false, freeze: false, splitAt: 0.5, background: [0.62, 0.74, 0.82],
   };
   readonly situation: Situation = {
     cell: -1, interval: -1, chunk: -1, problemView: null, hopeless: false, costBound: 0, impostors: 0, shown: [], needed: [], waiting: true,
@@ -126,6 +127,21 @@ export class Engine {
     return true;
   }
 
+  /** Another one whenever what a view shows may have changed. */
+  get version(): string {
+    return this.key;
+  }
+
+  /** Takes a cell and interval as if the camera stood there, to be held; false where there are none such. */
+  hold(cell: number, interval: number): boolean {
+    const { manifest } = this.placement;
+    if (cell >= manifest.counts.cells || interval >= 6 * (manifest.interval_edges.length - 1) ** 2) return false;
+    this.situation.cell = cell;
+    this.situation.interval = interval;
+    this.situation.chunk = chunkOfCell(manifest, cell);
+    return true;
+  }
+
   /** Pages that are likely to be needed, best first: this view, turning on the spot, the cell ahead. */
   likelyPages(direction: ArrayLike<number>, ahead: ArrayLike<number>): Set<number> {
     const { manifest, index } = this.placement;
@@ -149,18 +165,25 @@ export class Engine {
     this.bind();
     this.clear(modes.background.map(decodeSrgb));
     this.drawn.calls = this.drawn.triangles = 0;
-    const cut = modes.split ? Math.round(width * modes.splitAt) : width;
-    this.drawSide(this.selection, true, modes.split ? [0, 0, cut, height] : null);
-    if (modes.split) {
-      const drawn = { ...this.drawn };
-      this.drawSide(this.geometry.select(this.frustum), false, [cut, 0, width - cut, height]);
-      Object.assign(this.drawn, drawn);
+    const compared = modes.split || modes.beside;
+    const cut = modes.beside ? width >> 1 : Math.round(width * modes.splitAt);
+    const shift = modes.beside ? Math.round(width / 4) : 0;
+    this.drawSide(this.selection, true, compared ? [0, 0, cut, height] : null, -shift);
+    if (compared) {
+      const { calls, triangles } = this.drawn;
+      this.drawSide(this.geometry.select(this.frustum), false, [cut, 0, width - cut, height], shift);
+      this.drawn.calls = calls;
+      this.drawn.triangles = triangles;
     }
     if (modes.cells) {
       this.cellLines ??= new CellLines(gl, this.placement.index);
-      gl.viewport(0, 0, width, height);
       gl.disable(gl.SCISSOR_TEST);
-      this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
+      if (modes.beside) gl.enable(gl.SCISSOR_TEST);
+      for (let side = 0; side < (modes.beside ? 2 : 1); side++) {
+        gl.viewport(modes.beside ? (side ? shift : -shift) : 0, 0, width, height);
+        gl.scissor(side ? cut : 0, 0, side ? width - cut : cut, height);
+        this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
+      }
     }
     this.target.show();
   }
@@ -174,6 +197,21 @@ export class Engine {
     this.bind();
     this.clear([0, 0, 0]);
     this.drawSide(this.selection, true, null);
+    const out = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
+    return out;
+  }
+
+  /** Draws the plain picture, with impostors or geometry alone, into the canvas; returns it (RGBA, bottom row first). */
+  drawPlain(position: Vec3, direction: Vec3, impostors: boolean): Uint8Array {
+    this.prepare(position, direction);
+    const { gl } = this;
+    const { width, height } = this.canvas;
+    this.view.mode = PICTURE;
+    this.bind();
+    this.clear(this.modes.background.map(decodeSrgb));
+    this.drawSide(impostors ? this.selection : this.geometry.select(this.frustum), impostors, null);
+    this.target.show();
     const out = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
     return out;
@@ -211,11 +249,11 @@ export class Engine {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   }
 
-  private drawSide(selection: Selection, withImpostors: boolean, scissor: [number, number, number, number] | null): void {
+  private drawSide(selection: Selection, withImpostors: boolean, scissor: [number, number, number, number] | null, shift = 0): void {
     const { gl, view, level } = this;
     const { width, height } = this.canvas;
     if (withImpostors) {
-      gl.viewport(0, 0, width, height);
+      gl.viewport(shift, 0, width, height);
       if (scissor) {
         gl.enable(gl.SCISSOR_TEST);
         gl.scissor(...scissor);
@@ -228,7 +266,7 @@ export class Engine {
     const { renderer } = level;
     renderer.resetState();
     this.bind();
-    renderer.setViewport(0, 0, width, height);
+    renderer.setViewport(shift, 0, width, height);
     renderer.setScissorTest(scissor !== null);
     if (scissor) renderer.setScissor(...scissor);
     if (level.ready) level.draw(view, selection, this.drawn);

@@ -4,8 +4,8 @@
  */
 import { sha256 } from "../placementdb/sha256";
 import { insideBoxes } from "../select/clamp";
-import type { App } from "./app";
-import type { Modes } from "./engine";
+import { decodeWalk } from "../walk/walk";
+import type { App, Switches } from "./app";
 
 export interface Stats {
   calls: number; // draw calls really made: geometry primitives, and one for all impostor layers
@@ -35,9 +35,12 @@ export interface Stats {
 export interface Hook {
   ready: () => Promise<void>;
   setView: (position: number[], direction: number[]) => Promise<void>;
-  setMode: (modes: Partial<Modes & { free: boolean; overlay: boolean }>) => Promise<void>;
+  setMode: (modes: Switches) => Promise<void>;
   stats: () => Promise<Stats>;
   capture: () => Promise<string>;
+  difference: () => Promise<number>; // mean FLIP of the view against geometry, as the page shows it
+  share: () => Promise<string>; // fragment of a link
+  replay: (walk?: string) => Promise<string>; // CSV of one replay of the walk, or of the one that is there
   coverage: () => Promise<string>;
   pageDigests: (page: number) => Promise<string[]>;
 }
@@ -68,6 +71,18 @@ export function makeHook(started: Promise<App>): Hook {
         app.engine.draw(app.walker.position, app.walker.direction);
         return (app.engine.gl.canvas as HTMLCanvasElement).toDataURL("image/png");
       });
+    },
+    difference: async () => {
+      const app = await settled();
+      app.setMode({ difference: true });
+      return app.difference.settled();
+    },
+    share: async () => (await started).shared(),
+    replay: async (walk) => {
+      const app = await settled();
+      if (walk !== undefined) app.walks.take(decodeWalk(walk));
+      await app.walks.replay();
+      return app.walks.csv();
     },
     coverage: async () => {
       const app = await settled();

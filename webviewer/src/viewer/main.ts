@@ -10,7 +10,6 @@ import { AccessDenied, fetchFile, fetchFrom, makeTraffic, type Traffic } from ".
 import { byId, setShown, setText } from "../ui/dom";
 import { bytes } from "../ui/format";
 import { applyTheme } from "../ui/theme";
-import { readView } from "../ui/view_link";
 import { App } from "./app";
 import { Engine } from "./engine";
 import { makeHook, type Hook } from "./hook";
@@ -40,21 +39,25 @@ async function start(): Promise<App> {
   progress("Loading placement", "manifest and index", 0);
   const placement = await Placement.open(fetchFrom(base, traffic));
   const engine = new Engine(canvas, gl, placement);
-  const app = new App(engine, placement, traffic, canvas);
-  goToAddress(app);
-  window.addEventListener("hashchange", () => goToAddress(app));
+  const app = new App(engine, placement, traffic, canvas, decodeURIComponent(id));
+  app.follow(location.hash);
+  window.addEventListener("hashchange", () => app.follow(location.hash));
   await loadGeometry(base, traffic, placement, engine);
   setShown("loading", false);
   app.touch();
+  void bookmark(base, traffic, app);
   credit(engine.level.notice || placement.manifest.scene?.notice || placement.manifest.notice || "", id);
   return app;
 }
 
-/** Look from where the address says (a link of the report), if it names a view. */
-function goToAddress(app: App): void {
-  const view = readView(location.hash);
-  if (view) app.walker.look(view.position, view.direction);
-  app.touch();
+/** Bookmarks from the report, where there is one that can be read: the viewer needs none. */
+async function bookmark(base: string, traffic: Traffic, app: App): Promise<void> {
+  try {
+    const report = await fetchFile(`${base}report.json`, traffic);
+    if (report) app.offerWorstViews(JSON.parse(new TextDecoder().decode(report)));
+  } catch (error) {
+    console.warn("no bookmarks: the report cannot be read", error);
+  }
 }
 
 async function loadGeometry(base: string, traffic: Traffic, placement: Placement, engine: Engine): Promise<void> {
