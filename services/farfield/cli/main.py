@@ -18,6 +18,7 @@ VERBS = (
     "layers",
     "calibrate",
     "verify",
+    "stability",
     "report",
     "export",
     "serve",

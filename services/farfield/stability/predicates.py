@@ -9,6 +9,7 @@ Method   Draw cases at the border, from a last digit to a thousandth away, over 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ def cell_in_shaft(tries: int, seed: int) -> Decided:
     )  # fmt: skip
 
 
-def _shaft_margin(cell: list[float], corner: list[float]) -> object:
+def _shaft_margin(cell: list[float], corner: list[float]) -> Any:
     """Return (T (p . A) - |p x A|) / (|p| (1 + T)), exactly from the numbers given, offsets subtracted exactly."""
     import mpmath as mp
 

@@ -12,7 +12,7 @@ import math
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ class _Math32:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def in_float32(kernel: Any) -> Callable[..., Any]:
     """Return the kernel's source as a Python function whose mathematics stays in the type of its arguments."""
     source = kernel.py_func
