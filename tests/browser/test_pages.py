@@ -276,10 +276,51 @@ def test_a_registered_folder_has_its_report(page, service):
     assert page.locator("#hopeless tbody tr").count() == 100
     page.check("text=By object")
     assert "scaffold_north" in page.inner_text("#hopeless")
+    views = page.evaluate("""[...document.querySelectorAll('.histo tbody tr')].map(r => r.innerText.split('\\t'))""")
+    counts = [[int(n.replace(",", "")) for n in row[1:]] for row in views]
+    assert sum(a for a, _ in counts) == sum(b for _, b in counts) > 0
+    assert all(geometry == 0 for row, (geometry, _) in zip(views, counts, strict=True) if row[0].endswith("to 1"))
+    assert page.locator(".sbar rect").count() == 28  # time and memory of each stage
     told = "Memory over budget: 45.6 kB at 20 calls, falling to none at 27 calls"
     assert page.get_attribute(".curve svg", "aria-label") == told
-    assert page.locator(".curve circle").count() == page.locator(".curve tbody tr").count() == 5
-    assert page.locator(".curve tbody tr").nth(2).inner_text().split() == ["22", "calls", "21.5", "kB", "47", "%", "1"]
+    rows = page.locator(".curve:not(.histo) tbody tr")
+    assert page.locator(".curve circle").count() == rows.count() == 5
+    assert rows.nth(2).inner_text().split() == [
+        "22",
+        "calls",
+        "21.5",
+        "kB",
+        "47",
+        "%",
+        "1",
+    ]
+
+
+def test_two_jobs_are_compared(page, service):
+    sign_in(page, service)
+    jobs = []
+    for budget in ("21", "23"):
+        page.goto(f"{service.url}/jobs")
+        page.set_input_files("#new input[type=file]", level("pair.glb", shards=2, salt=5))
+        page.wait_for_selector("text=Start job")
+        page.fill("#s-budget", budget)
+        page.click("text=Start job")
+        page.wait_for_url("**/jobs/*")
+        jobs.append(page.url.rsplit("/", 1)[1])
+        page.wait_for_selector("text=Compare", timeout=30_000)
+    page.click("text=Compare")
+    page.wait_for_selector("text=Choose two jobs")
+    assert page.input_value("#pick-a") == jobs[1]
+    page.select_option("#pick-b", jobs[0])
+    page.wait_for_selector("#df-h")
+    settings = list(csv.reader(io.StringIO(downloaded(page, "[aria-label='settings as CSV']"))))
+    assert settings == [["setting", "a", "b"], ["budget", "23 calls", "21 calls"]]
+    assert page.locator(".curve path").count() == 2
+    page.reload()  # the address names both
+    page.wait_for_selector("#df-h")
+    page.goto(f"{service.url}/compare#a={jobs[0]}&b={'0' * 32}")
+    page.reload()
+    page.wait_for_selector("text=These jobs cannot be compared")
 
 
 def test_a_key_that_only_reads_starts_nothing(page, service):
@@ -315,7 +356,7 @@ def test_pages_fit_their_window_and_do_not_jump(page, service, width, scheme):
     assert page.evaluate(shift) < 0.1
 
 
-@pytest.mark.parametrize("name", ["jobs", "job", "report"])
+@pytest.mark.parametrize("name", ["jobs", "job", "report", "compare", "workers", "storage"])
 def test_a_page_is_small_and_holds_no_inline_code(name):
     html = (WEB / f"{name}.html").read_text()
     assert not re.search(r"<script(?![^>]*\bsrc=)|<style|\bstyle=|\bon\w+=", html)
@@ -327,6 +368,7 @@ def test_a_page_is_small_and_holds_no_inline_code(name):
             continue
         seen.add(file)
         size += len(gzip.compress(file.read_bytes()))
+        assert b"WebGLRenderer" not in file.read_bytes(), f"{file.name}: three.js is the viewer's alone"
         if file.suffix == ".js":
             files += [file.parent / f for f in re.findall(r'from"\./([^"]+)"', file.read_text())]
     assert size < 250_000, size

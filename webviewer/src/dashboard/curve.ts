@@ -22,29 +22,41 @@ export function curvePanel(report: Report): HTMLElement | null {
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Memory that suffices for each budget"),
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "Budget"), h("th", { scope: "col", class: "r" }, "Memory"), h("th", { scope: "col", class: "r" }, "Of this"), over ? h("th", { scope: "col", class: "r" }, "Views over it") : null)), h("tbody", null, ...rows));
   const button = csvButton("memory-over-budget", [`budget_${unit}`, "bytes", "views_over"], () => points.map((p) => [p.budget, p.bytes, p.views_over]));
+  const label = `Memory over budget: ${bytes(points[0].bytes)} at ${costText(points[0].budget, unit)}, falling to none at ${costText(points[points.length - 1].budget, unit)}`;
   return part("cv-h", "Memory over budget", "found to suffice, as estimated before the bake; a job at that budget may need less", button,
-    h("div", { class: "curve" }, plot(points, unit), h("div", { class: "scroll" }, table)));
+    h("div", { class: "curve" }, curvePlot([{ name: "", kind: "one", points }], unit, label), h("div", { class: "scroll" }, table)));
+}
+
+/** The staircase of one placement; `kind` is its class, its shape on paper a dash. */
+export interface Series {
+  name: string;
+  kind: string;
+  points: readonly CurvePoint[];
 }
 
 /** The budget axis is logarithmic: half of the story lies within a quarter of the budget. */
-function plot(points: CurvePoint[], unit: string): SVGSVGElement {
-  const first = Math.log(points[0].budget);
-  const span = Math.log(points[points.length - 1].budget) - first || 1;
+export function curvePlot(series: readonly Series[], unit: string, label: string): SVGSVGElement {
+  const all = series.flatMap((one) => one.points);
+  const budgets = [...new Set(all.map((p) => p.budget))].sort((a, b) => a - b);
+  const most = Math.max(1, ...all.map((p) => p.bytes));
+  const first = Math.log(budgets[0]);
+  const span = Math.log(budgets[budgets.length - 1]) - first || 1;
   const x = (budget: number): number => LEFT + ((WIDTH - LEFT - RIGHT) * (Math.log(budget) - first)) / span;
-  const y = (n: number): number => HEIGHT - BOTTOM - ((HEIGHT - TOP - BOTTOM) * n) / points[0].bytes;
-  const path = points.map((p, k) => `${k ? `H${x(p.budget).toFixed(1)}V` : `M${x(p.budget).toFixed(1)} `}${y(p.bytes).toFixed(1)}`).join("");
+  const y = (n: number): number => HEIGHT - BOTTOM - ((HEIGHT - TOP - BOTTOM) * n) / most;
   const levels = [1, 0.75, 0.5, 0.25, 0].map((share) => [
-    s("line", { class: "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: y(share * points[0].bytes), y2: y(share * points[0].bytes) }),
-    s("text", { class: "end", x: LEFT - 8, y: y(share * points[0].bytes) + 4 }, bytes(Math.round(share * points[0].bytes)))]);
+    s("line", { class: "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: y(share * most), y2: y(share * most) }),
+    s("text", { class: "end", x: LEFT - 8, y: y(share * most) + 4 }, bytes(Math.round(share * most)))]);
   let before = -Infinity;
-  const labels = points.map((p, k) => {
-    const at = x(p.budget);
-    const last = k === points.length - 1;
+  const labels = budgets.map((budget, k) => {
+    const at = x(budget);
+    const last = k === budgets.length - 1;
     if (at - before < LEAST_APART || (!last && WIDTH - RIGHT - at < LEAST_APART)) return null;
     before = at;
-    return s("text", { class: last ? "end" : k ? "mid" : "start", x: last ? WIDTH : at, y: HEIGHT - 8 }, costText(p.budget, unit));
+    return s("text", { class: last ? "end" : k ? "mid" : "start", x: last ? WIDTH : at, y: HEIGHT - 8 }, costText(budget, unit));
   });
-  const dots = points.map((p) => s("circle", { cx: x(p.budget), cy: y(p.bytes), r: 3 }, s("title", null, `${costText(p.budget, unit)}: ${bytes(p.bytes)}`)));
-  const label = `Memory over budget: ${bytes(points[0].bytes)} at ${costText(points[0].budget, unit)}, falling to none at ${costText(points[points.length - 1].budget, unit)}`;
-  return s("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": label }, ...levels.flat(), ...labels, s("path", { d: path }), ...dots);
+  const lines = series.flatMap(({ name, kind, points }) => {
+    const d = points.map((p, k) => `${k ? `H${x(p.budget).toFixed(1)}V` : `M${x(p.budget).toFixed(1)} `}${y(p.bytes).toFixed(1)}`).join("");
+    return [s("path", { class: kind, d }), ...points.map((p) => s("circle", { class: kind, cx: x(p.budget), cy: y(p.bytes), r: 3 }, s("title", null, `${name ? `${name}, ` : ""}${costText(p.budget, unit)}: ${bytes(p.bytes)}`)))];
+  });
+  return s("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": label }, ...levels.flat(), ...labels, ...lines);
 }

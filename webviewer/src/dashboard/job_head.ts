@@ -35,6 +35,7 @@ export function drawHead(head: HTMLElement, job: JobDetail, report: Report | nul
     job.links.report_page ? h("a", { class: "btn", href: job.links.report_page }, "Report") : null,
     job.state === "failed" || job.state === "cancelled" ? h("button", { class: "btn primary", type: "button", onclick: does.retry }, "Go on") : null,
     active ? null : h("a", { class: "btn", href: again(job.id) }, "Run again…"),
+    job.state === "done" ? h("a", { class: "btn", href: `/compare#a=${encodeURIComponent(job.id)}` }, "Compare…") : null,
     active ? h("button", { class: "btn stop", type: "button", onclick: does.cancel }, "Cancel job…") : null]);
   const { kind, mark, text } = verdictOf(job, report);
   banner.className = `tobe ${kind}`;

@@ -5,6 +5,7 @@ import { h } from "./element";
 import { failed, main, openPage, skeleton } from "./frame";
 import { shortDigest, shortId } from "./format";
 import { curvePanel } from "./curve";
+import { histogramPanel } from "./histogram";
 import { hopelessPanel } from "./hopeless";
 import { certificate, deviceTable, figures, notes, stagesTable, worstViews } from "./report_parts";
 import { proofPanel } from "./proof";
@@ -31,11 +32,14 @@ async function start(): Promise<void> {
   const title = [job?.name ?? item, report.budget].filter(Boolean).join(", ");
   document.title = `Report: ${title} · farfield`;
   const map = h("div");
+  const byCost = h("div");
   const hopeless = h("div");
   const beside = (a: HTMLElement | null, b: HTMLElement | null): HTMLElement => h("div", { class: "two" }, a, b);
-  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), proofPanel(report, item) ?? "", curvePanel(report) ?? "", hopeless, deviceTable(report) ?? "", notes(report) ?? "");
+  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), proofPanel(report, item) ?? "", curvePanel(report) ?? "", byCost, hopeless, deviceTable(report) ?? "", notes(report) ?? "");
   // The map needs the placement's own files; without them the report stands as it is.
-  const drawn = await readMap(item, report).then((data) => new ViewMap(data, item), () => null);
+  const data = await readMap(item, report).catch(() => null);
+  const drawn = data && new ViewMap(data, item);
+  if (data?.views) byCost.replaceChildren(histogramPanel(data.views) ?? "");
   if (drawn) {
     drawn.element.classList.add("report-part");
     map.replaceChildren(drawn.element);

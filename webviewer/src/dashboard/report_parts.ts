@@ -2,7 +2,7 @@
 import { bytes, cost as costText, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
 import { csv, download, type Cell } from "./csv";
-import { h } from "./element";
+import { h, s } from "./element";
 import { bearing, duration, plural } from "./format";
 import { compass } from "./hopeless";
 import { icon, verdictMark } from "./icons";
@@ -104,19 +104,19 @@ export function figures(report: Report): HTMLElement | null {
 
 export function stagesTable(report: Report): HTMLElement | null {
   if (!report.stages.length) return null;
-  const longest = Math.max(...report.stages.map((s) => s.seconds), 1e-9);
-  const largest = Math.max(...report.stages.map((s) => s.peak_bytes ?? 0), 1);
-  const bar = (share: number): HTMLElement => h("i", { class: `prop${share > 0 ? "" : " off"}`, css: { "--at": `${100 * share}%` } });
-  const memory = report.stages.some((s) => known(s.peak_bytes));
-  const rows = report.stages.map((s) => s.skipped !== null && s.skipped !== undefined
-    ? h("tr", { class: "skipd" }, h("th", { scope: "row" }, icon("skip"), ` ${s.name}`), h("td", { class: "r nw" }, s.seconds > 0 ? duration(s.seconds) : "skipped"), h("td", { class: "st-why", colspan: memory ? 3 : 1 }, s.skipped))
-    : h("tr", null, h("th", { scope: "row" }, s.name, ...(s.reused ? [" ", h("small", { class: "q" }, s.reused === s.shards ? "reused" : `${s.reused} of ${s.shards} reused`)] : [])), h("td", { class: "r nw" }, duration(s.seconds)), h("td", { class: "st-bar" }, bar(s.seconds / longest)),
-      ...(memory ? [h("td", { class: "r nw" }, known(s.peak_bytes) ? bytes(s.peak_bytes) : "—"), h("td", { class: "st-bar" }, bar((s.peak_bytes ?? 0) / largest))] : [])));
+  const longest = Math.max(...report.stages.map((stage) => stage.seconds), 1e-9);
+  const largest = Math.max(...report.stages.map((stage) => stage.peak_bytes ?? 0), 1);
+  const bar = (share: number): SVGElement => s("svg", { class: "sbar", viewBox: "0 0 100 8", preserveAspectRatio: "none", "aria-hidden": "true" }, s("rect", { width: share > 0 ? Math.max(0.5, 100 * share) : 0, height: 8 }));
+  const memory = report.stages.some((stage) => known(stage.peak_bytes));
+  const rows = report.stages.map((stage) => stage.skipped !== null && stage.skipped !== undefined
+    ? h("tr", { class: "skipd" }, h("th", { scope: "row" }, icon("skip"), ` ${stage.name}`), h("td", { class: "r nw" }, stage.seconds > 0 ? duration(stage.seconds) : "skipped"), h("td", { class: "st-why", colspan: memory ? 3 : 1 }, stage.skipped))
+    : h("tr", null, h("th", { scope: "row" }, stage.name, ...(stage.reused ? [" ", h("small", { class: "q" }, stage.reused === stage.shards ? "reused" : `${stage.reused} of ${stage.shards} reused`)] : [])), h("td", { class: "r nw" }, duration(stage.seconds)), h("td", { class: "st-bar" }, bar(stage.seconds / longest)),
+      ...(memory ? [h("td", { class: "r nw" }, known(stage.peak_bytes) ? bytes(stage.peak_bytes) : "—"), h("td", { class: "st-bar" }, bar((stage.peak_bytes ?? 0) / largest))] : [])));
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Seconds and peak memory of each stage"),
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "Stage"), h("th", { scope: "col", class: "r" }, "Time"), h("th", null, h("span", { class: "sr" }, "Time as a bar")),
       ...(memory ? [h("th", { scope: "col", class: "r" }, "Peak memory"), h("th", null, h("span", { class: "sr" }, "Memory as a bar"))] : []))), h("tbody", null, ...rows));
   const total = [known(report.seconds) ? duration(report.seconds) : "", known(report.peak_bytes) ? `${bytes(report.peak_bytes)} at most in one process` : ""].filter(Boolean).join(", ");
-  const button = csvButton("stages", ["stage", "seconds", "peak_bytes", "skipped", "shards", "reused"], () => report.stages.map((s) => [s.name, s.seconds, s.peak_bytes, s.skipped, s.shards, s.reused]));
+  const button = csvButton("stages", ["stage", "seconds", "peak_bytes", "skipped", "shards", "reused"], () => report.stages.map((stage) => [stage.name, stage.seconds, stage.peak_bytes, stage.skipped, stage.shards, stage.reused]));
   return part("st-h", "Stages", total, button, h("div", { class: "scroll" }, table));
 }
 

@@ -11,6 +11,7 @@ import { viewAddress } from "../ui/view_link";
 import { BREAKS, classOf } from "./cell_classes";
 import { h, s } from "./element";
 import { metres } from "./format";
+import { addView, emptyHistogram, type Histogram } from "./histogram";
 import { boxesPath, planeOf, viewBoxOf, type Plane } from "./scene_plan";
 
 export interface MapCell {
@@ -26,6 +27,7 @@ export interface MapData {
   footprints: Box[];
   budget: number;
   unit: string;
+  views: Histogram | null; // null: there are too many to read them all
   complete: boolean; // false: hopeless views were read from the report alone, which lists the worst
 }
 
@@ -47,13 +49,19 @@ export async function readMap(placement: string, report: Report): Promise<MapDat
   const size = manifest.chunks.reduce((sum, c) => sum + c.bytes, 0);
   const listed = report.hopeless?.length ?? 0;
   const complete = hopeless <= listed || size <= CHUNK_BYTES;
+  let views: Histogram | null = null;
   if (size <= CHUNK_BYTES) {
+    views = emptyHistogram();
+    const fixed = manifest.cost_model.per_frame;
     for (let k = 0; k < manifest.chunks.length; k++) {
       const chunk = await p.chunk(k);
       for (let c = chunk.cells[0]; c < chunk.cells[1]; c++) {
         const [a, b] = [chunk.cellView[c - chunk.cells[0]], chunk.cellView[c - chunk.cells[0] + 1]];
         cells[c].views = b - a;
-        for (let v = a; v < b; v++) cells[c].hopeless += chunk.viewHopeless[v];
+        for (let v = a; v < b; v++) {
+          cells[c].hopeless += chunk.viewHopeless[v];
+          addView(views, chunk.viewGeometryCost[v] + fixed, chunk.viewCost[v] + fixed, manifest.budget.amount);
+        }
       }
       p.dropChunk(k);
     }
@@ -62,7 +70,7 @@ export async function readMap(placement: string, report: Report): Promise<MapDat
     for (const view of report.hopeless ?? []) if (cells[view.cell]) cells[view.cell].hopeless++;
   }
   const footprints = Array.from({ length: manifest.counts.objects }, (_, k) => box(index.objectBox, k));
-  return { cells, footprints, budget: manifest.budget.amount, unit: manifest.budget.unit, complete };
+  return { cells, footprints, budget: manifest.budget.amount, unit: manifest.budget.unit, views, complete };
 }
 
 export class ViewMap {
