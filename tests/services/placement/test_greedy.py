@@ -11,6 +11,7 @@ from farfield.placement.kernels import compare_ratios
 from farfield.placement.prospects import find_prospects
 from farfield.placement.repair import verdict
 from farfield.settings import PlacementSettings, Settings
+from farfield.stability import naive as rescored
 from naive import greedy as naive
 
 from .instances import flat_model, halving_refit, make_candidates, make_views, random_instance, random_tree, same_refit
@@ -28,6 +29,15 @@ def placed(x, *, refit=None, assignment="fastest"):
 def prospects(x):
     end = subtree_end(x.hierarchy.start, x.hierarchy.stop)
     return find_prospects(x.hierarchy, x.model, x.views, x.candidates, end=end), end
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_greedy_of_the_stability_report_chooses_the_naive_sequence(seed):
+    x = random_instance(seed, n_objects=3 + seed % 9, n_candidates=4 + seed % 25)
+    found, end = prospects(x)
+    order, _ = naive.place(x.hierarchy, x.views, x.candidates, found.target)
+    excess = np.maximum(x.views.cost - found.target, 0)
+    assert rescored.greedy(x.candidates, excess=excess, end=end) == order
 
 
 @pytest.mark.parametrize("seed", SEEDS)
