@@ -1,6 +1,6 @@
 """Write tests/golden/flip/flip.json: small pictures and what the flip-evaluator package says of them.
 
-    .venv/bin/python tests/golden/make_flip.py
+.venv/bin/python tests/golden/make_flip.py
 """
 
 import base64

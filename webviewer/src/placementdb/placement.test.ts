@@ -3,7 +3,7 @@ import { existsSync, readFileSync } from "node:fs";
 import { join, resolve } from "node:path";
 import { describe, expect, it } from "vitest";
 import { unpack } from "./columns";
-import { Placement, type FetchBytes } from "./placement";
+import { Placement, viewsServed, type FetchBytes } from "./placement";
 import { sha256, sha256Plain } from "./sha256";
 
 const GOLDEN = resolve(import.meta.dirname, "../../../tests/golden");
@@ -45,6 +45,25 @@ describe.each(TREES)("%s", (tree) => {
     const inside = golden.lookups[0].position;
     for (const d of [...golden.bad_directions, [Number.NaN, 0, 1], [Infinity, 0, 0]]) {
       await expect(placement.lookup(inside, d)).rejects.toMatchObject({ code: "DirectionInvalid" });
+    }
+  });
+
+  it("counts the views an impostor serves, of the chunks that are here", async () => {
+    const placement = await Placement.open(reads(tree));
+    expect(viewsServed(placement, 0)).toEqual({ views: 0, all: placement.manifest.chunks.length === 0 });
+    const shown = new Map<number, number>();
+    for (let number = 0; number < placement.manifest.chunks.length; number++) {
+      const chunk = await placement.chunk(number);
+      for (const list of chunk.viewList) {
+        for (let k = chunk.listRow[list]; k < chunk.listRow[list + 1]; k++) {
+          const id = chunk.impostorId[chunk.listImpostor[k]];
+          shown.set(id, (shown.get(id) ?? 0) + 1);
+        }
+      }
+    }
+    expect(shown.size).toBeGreaterThan(0);
+    for (let id = 0; id < placement.manifest.counts.impostors; id++) {
+      expect(viewsServed(placement, id)).toEqual({ views: shown.get(id) ?? 0, all: true });
     }
   });
 

@@ -126,6 +126,26 @@ export function impostorsOfView(chunk: PlacementChunk, view: number): Int32Array
   return chunk.listImpostor.subarray(chunk.listRow[list], chunk.listRow[list + 1]);
 }
 
+export interface Served {
+  views: number; // problem views whose list holds the impostor, in the chunks that are here
+  all: boolean; // every chunk is here
+}
+
+export function viewsServed(p: Placement, impostor: number): Served {
+  const served: Served = { views: 0, all: true };
+  for (let number = 0; number < p.manifest.chunks.length; number++) {
+    const chunk = p.residentChunk(number);
+    if (!chunk) {
+      served.all = false;
+      continue;
+    }
+    const local = chunk.impostorId.indexOf(impostor);
+    if (local < 0) continue;
+    for (let view = 0; view < chunk.viewList.length; view++) if (impostorsOfView(chunk, view).includes(local)) served.views++;
+  }
+  return served;
+}
+
 function describe(p: Placement, cell: number, interval: number, chunk: PlacementChunk | null): Lookup {
   const { manifest, index } = p;
   const view = chunk ? viewInChunk(chunk, cell, interval) : -1;

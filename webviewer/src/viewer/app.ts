@@ -1,7 +1,7 @@
 /** The running viewer: one frame after another, drawn only when something has changed. */
 import { clampToBoxes } from "../select/clamp";
 import { trianglesAt } from "../select/levels";
-import type { Placement } from "../placementdb/placement";
+import { viewsServed, type Placement } from "../placementdb/placement";
 import type { Vec3 } from "../placementdb/manifest";
 import { LOOK_AHEAD_S } from "../stream/plan";
 import type { Traffic } from "../stream/files";
@@ -179,6 +179,7 @@ export class App {
     if (rest.split) rest.beside = false;
     else if (rest.beside) rest.split = false;
     Object.assign(this.engine.modes, rest);
+    if (rest.freeze) this.engine.showHeld();
     if (difference !== undefined) this.difference.set(difference);
     if (free !== undefined) this.walker.setFree(free);
     if (overlay !== undefined) {
@@ -303,6 +304,8 @@ export class App {
     this.engine.draw(this.walker.position, this.walker.direction);
     const at = 4 * (Math.min(height - 1, Math.floor((1 - y) * height)) * width + Math.min(width - 1, Math.floor(x * width)));
     const id = (ids[at] | (ids[at + 1] << 8) | (ids[at + 2] << 16)) - 1;
+    this.engine.showPicked(id);
+    this.touch();
     if (id < 0) return setShown("picked", false);
     const { index, manifest } = this.placement;
     const cluster = index.impostorCluster[id];
@@ -314,7 +317,7 @@ export class App {
     let triangles = 0;
     const { levels } = this.engine.selection;
     for (let o = index.clusterStart[cluster]; o < index.clusterStop[cluster]; o++) triangles += trianglesAt(index, o, levels[o]);
-    this.overlay.writePicked(id, index, levels, Math.sqrt(far), triangles);
+    this.overlay.writePicked(id, index, levels, Math.sqrt(far), triangles, viewsServed(this.placement, id));
   }
 
   private key(key: string): boolean {

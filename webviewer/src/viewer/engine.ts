@@ -7,7 +7,9 @@
 import { CellLines } from "../draw/draw_cells";
 import { ImpostorLayers, type DrawStats } from "../draw/draw_impostor_layers";
 import { LevelMesh, readLighting } from "../draw/draw_mesh";
+import { WireLines } from "../draw/draw_wires";
 import { IDS, PICTURE, TINTED, farthest, makeView, setViewProjection, type View } from "../draw/view";
+import { heldWires, impostorWires } from "../draw/wires";
 import { ChunkBuffers } from "../gl/chunk_buffers";
 import { PageArray } from "../gl/page_array";
 import { PictureTarget } from "../gl/picture_target";
@@ -25,6 +27,8 @@ const decodeSrgb = (x: number): number => (x <= 0.04045 ? x / 12.92 : ((x + 0.05
 
 export const PAGE_BYTES_CAP = 384 * 2 ** 20;
 const NEAR_M = 0.1;
+const SHAFT_M = 200; // of a shaft without end, as a wire frame
+const INTERVAL_M = 40;
 
 export interface Modes {
   impostors: boolean;
@@ -72,7 +76,9 @@ export class Engine {
   private readonly frustum = makeFrustum();
   private readonly buffers = new Map<PlacementChunk, ChunkBuffers>();
   private readonly chunkPages = new WeakMap<PlacementChunk, ChunkPages>();
-  private cellLines: CellLines | null = null;
+  private readonly cellLines: CellLines;
+  private readonly pickedLines: WireLines;
+  private readonly heldLines: WireLines;
   private key = "";
   private readonly canvas: HTMLCanvasElement;
   private readonly local: Vec3 = [0, 0, 0];
@@ -86,6 +92,9 @@ export class Engine {
     this.pages = new PageArray(gl, manifest, PAGE_BYTES_CAP);
     this.target = new PictureTarget(gl);
     this.layers = new ImpostorLayers(gl);
+    this.cellLines = new CellLines(gl, index);
+    this.pickedLines = new WireLines(gl, this.cellLines.program, [0.58, 0.32, 0, 1]);
+    this.heldLines = new WireLines(gl, this.cellLines.program, [0, 0.12, 0.15, 1]);
     this.selector = new Selector(index, manifest);
     this.geometry = new Selector(index, manifest);
     this.selection = this.selector.selection;
@@ -142,6 +151,18 @@ export class Engine {
     return true;
   }
 
+  /** Shows the view cell of an impostor, and what it replaces, as wire frames; -1: of none. */
+  showPicked(id: number): void {
+    this.pickedLines.set(id < 0 ? null : impostorWires(this.placement.index, id, SHAFT_M));
+  }
+
+  /** Shows the held cell and its interval while `modes.freeze` is on. */
+  showHeld(): void {
+    const { cell, interval } = this.situation;
+    const { interval_edges } = this.placement.manifest;
+    this.heldLines.set(cell < 0 || interval < 0 ? null : heldWires(this.placement.index, cell, interval, interval_edges, INTERVAL_M));
+  }
+
   /** Pages that are likely to be needed, best first: this view, turning on the spot, the cell ahead. */
   likelyPages(direction: ArrayLike<number>, ahead: ArrayLike<number>): Set<number> {
     const { manifest, index } = this.placement;
@@ -175,15 +196,14 @@ export class Engine {
       this.drawn.calls = calls;
       this.drawn.triangles = triangles;
     }
-    if (modes.cells) {
-      this.cellLines ??= new CellLines(gl, this.placement.index);
-      gl.disable(gl.SCISSOR_TEST);
-      if (modes.beside) gl.enable(gl.SCISSOR_TEST);
-      for (let side = 0; side < (modes.beside ? 2 : 1); side++) {
-        gl.viewport(modes.beside ? (side ? shift : -shift) : 0, 0, width, height);
-        gl.scissor(side ? cut : 0, 0, side ? width - cut : cut, height);
-        this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
-      }
+    gl.disable(gl.SCISSOR_TEST);
+    if (modes.beside) gl.enable(gl.SCISSOR_TEST);
+    for (let side = 0; side < (modes.beside ? 2 : 1); side++) {
+      gl.viewport(side ? shift : -shift, 0, width, height);
+      gl.scissor(side ? cut : 0, 0, side ? width - cut : cut, height);
+      if (modes.cells) this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
+      if (modes.freeze) this.heldLines.draw(this.view, this.placement.manifest.origin_m);
+      if (modes.layers) this.pickedLines.draw(this.view, this.placement.manifest.origin_m);
     }
     this.target.show();
   }

@@ -1,6 +1,7 @@
 /** Writes the overlay: numbers ten times a second, plots from the frame clock, states. */
 import type { PlacementIndex } from "../placementdb/index_file";
 import type { Manifest } from "../placementdb/manifest";
+import type { Served } from "../placementdb/placement";
 import { intervalName } from "../select/intervals";
 import { costAt } from "../select/levels";
 import type { Traffic } from "../stream/files";
@@ -155,7 +156,7 @@ export class Overlay {
     byId("around-marker").setAttribute("d", `M${x - 4} 2h8l-4 6zM${x - 0.4} 6h.8v60h-.8z`);
   }
 
-  writePicked(id: number, index: PlacementIndex, levels: Uint8Array, distanceM: number, triangles: number): void {
+  writePicked(id: number, index: PlacementIndex, levels: Uint8Array, distanceM: number, triangles: number, served: Served): void {
     const { budget } = this.manifest;
     const cluster = index.impostorCluster[id];
     const [a, b] = [index.clusterStart[cluster], index.clusterStop[cluster]];
@@ -166,6 +167,8 @@ export class Overlay {
     setText("picked-replaces", `${count(b - a)} objects, ${count(triangles)} triangles`);
     setText("picked-layers", `${index.impostorLayers[id]}, ${bytes(index.impostorBytes[id])}`);
     setText("picked-valid", index.impostorKind[id] === 0 ? "a shaft" : "a box of cells");
+    setText("picked-serves", `${count(served.views)} problem views${served.all ? "" : " of those loaded"}`);
+    setText("picked-error", `at most ${this.manifest.quality.pixel_error} px`);
     setText("picked-saves", `about ${cost(Math.max(0, saved), budget.unit)}`);
     setShown("picked", true);
   }
