@@ -4,7 +4,7 @@ import type { Job, JobDetail } from "../api/types";
 import { cost as costText } from "../ui/format";
 import { change, differences, figuresOf, type Figure } from "./compare_facts";
 import { curvePlot } from "./curve";
-import { h } from "./element";
+import { h, scroller } from "./element";
 import { failed, main, openPage, skeleton } from "./frame";
 import { duration, shortId } from "./format";
 import { verdictMark } from "./icons";
@@ -70,8 +70,8 @@ function panels(a: Side, b: Side): Node[] {
   const links = h("tr", null, h("th", { scope: "row" }, "More"), ...[a, b].map(({ job }) => h("td", { class: "r" }, h("a", { href: `/jobs/${job.id}` }, "job"), ", ", h("a", { href: `/jobs/${job.id}/report` }, "report"), ", ", h("a", { href: `/viewer/${job.id}` }, "viewer"))), h("td", null));
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Figures side by side; the better one is bold"), head("Figure", "Change"), h("tbody", null, verdicts, ...figures.map(row), links));
   const made: (HTMLElement | null)[] = [
-    part("df-h", "Settings that differ", a.job.scene === b.job.scene ? "" : "the levels differ, too", csvButton("settings", ["setting", "a", "b"], () => differ.map((d) => [d.key, d.a, d.b])), h("div", { class: "scroll" }, settings)),
-    part("fg-h", "Figures", "the better one is bold", csvButton("comparison", ["figure", "a", "b"], () => figures.map((f) => [f.name, f.a, f.b])), h("div", { class: "scroll" }, table)),
+    part("df-h", "Settings that differ", a.job.scene === b.job.scene ? "" : "the levels differ, too", csvButton("settings", ["setting", "a", "b"], () => differ.map((d) => [d.key, d.a, d.b])), scroller(settings)),
+    part("fg-h", "Figures", "the better one is bold", csvButton("comparison", ["figure", "a", "b"], () => figures.map((f) => [f.name, f.a, f.b])), scroller(table)),
     curves(a, b, names), stages(a, b, names),
   ];
   return made.filter((panel) => panel !== null);
@@ -104,5 +104,5 @@ function stages(a: Side, b: Side, names: string[]): HTMLElement {
     return h("tr", null, h("th", { scope: "row" }, name), h("td", { class: "r nw" }, duration(x)), h("td", { class: "r nw" }, duration(y)), h("td", { class: "st-bar" }, bar(x, "one"), bar(y, "two")));
   });
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Seconds of each stage"), h("thead", null, h("tr", null, h("th", { scope: "col" }, "Stage"), ...names.map((n) => h("th", { scope: "col", class: "r" }, n)), h("th", null, h("span", { class: "sr" }, "As bars")))), h("tbody", null, ...rows));
-  return part("sg-h", "Stages", "what was taken over from an earlier job takes no time", csvButton("stages-compared", ["stage", "a_seconds", "b_seconds"], () => order.map((name) => [name, seconds[0].get(name), seconds[1].get(name)])), h("div", { class: "scroll" }, table));
+  return part("sg-h", "Stages", "what was taken over from an earlier job takes no time", csvButton("stages-compared", ["stage", "a_seconds", "b_seconds"], () => order.map((name) => [name, seconds[0].get(name), seconds[1].get(name)])), scroller(table));
 }

@@ -1,6 +1,6 @@
 /** Memory over budget: a staircase of what was found to suffice, and the same as a table. */
 import { bytes, cost as costText, count } from "../ui/format";
-import { h, s } from "./element";
+import { h, s, scroller } from "./element";
 import { csvButton, part } from "./report_parts";
 import type { CurvePoint, Report } from "./report_types";
 
@@ -24,7 +24,7 @@ export function curvePanel(report: Report): HTMLElement | null {
   const button = csvButton("memory-over-budget", [`budget_${unit}`, "bytes", "views_over"], () => points.map((p) => [p.budget, p.bytes, p.views_over]));
   const label = `Memory over budget: ${bytes(points[0].bytes)} at ${costText(points[0].budget, unit)}, falling to none at ${costText(points[points.length - 1].budget, unit)}`;
   return part("cv-h", "Memory over budget", "found to suffice, as estimated before the bake; a job at that budget may need less", button,
-    h("div", { class: "curve" }, curvePlot([{ name: "", kind: "one", points }], unit, label), h("div", { class: "scroll" }, table)));
+    h("div", { class: "curve" }, curvePlot([{ name: "", kind: "one", points }], unit, label), scroller(table)));
 }
 
 /** The staircase of one placement; `kind` is its class, its shape on paper a dash. */

@@ -33,3 +33,16 @@ export function refill(element: Element, key: string, make: () => Child[]): void
   held.filledWith = key;
   element.replaceChildren(...make().filter((c): c is Node | string => c !== null && c !== undefined && c !== false && typeof c !== "number"));
 }
+
+/** Holds what may be wider than the page; the keyboard reaches it for as long as it has something to scroll. */
+export function scroller(held: HTMLElement): HTMLElement {
+  const box = h("div", { class: "scroll" }, held);
+  const name = held.querySelector("caption")?.textContent ?? "";
+  const watch = new ResizeObserver(() => {
+    if (box.scrollWidth > box.clientWidth) for (const [key, value] of [["tabindex", "0"], ["role", "region"], ["aria-label", name]]) box.setAttribute(key, value);
+    else for (const key of ["tabindex", "role", "aria-label"]) box.removeAttribute(key);
+  });
+  watch.observe(box);
+  watch.observe(held);
+  return box;
+}

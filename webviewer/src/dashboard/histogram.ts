@@ -1,7 +1,7 @@
 /** Problem views by what they cost over the budget, as geometry and as placed: what the impostors did, in one picture. */
 import { count } from "../ui/format";
 import { BREAKS, classOf } from "./cell_classes";
-import { h, s } from "./element";
+import { h, s, scroller } from "./element";
 import { csvButton, part } from "./report_parts";
 
 /** Views in each class of cost over budget, cell_classes.ts. */
@@ -53,5 +53,5 @@ export function histogramPanel(of: Histogram): HTMLElement | null {
     h("tbody", null, ...shown.map((k) => h("tr", null, h("th", { scope: "row", class: "nw" }, className(k)), h("td", { class: "r nw" }, count(of.asGeometry[k])), h("td", { class: "r nw" }, count(of.asPlaced[k]))))));
   const button = csvButton("views-by-cost", ["cost_over_budget", "as_geometry", "as_placed"], () => of.asGeometry.map((n, k) => [className(k), n, of.asPlaced[k]]));
   return part("hg-h", "Problem views by cost", "bounds over the budget; the line is the budget", button,
-    h("div", { class: "curve histo" }, h("div", null, svg, h("p", { class: "key" }, h("span", null, h("i", { class: "block geo" }), "as geometry"), h("span", null, h("i", { class: "block placed" }), "as placed"))), h("div", { class: "scroll" }, table)));
+    h("div", { class: "curve histo" }, h("div", null, svg, h("p", { class: "key" }, h("span", null, h("i", { class: "block geo" }), "as geometry"), h("span", null, h("i", { class: "block placed" }), "as placed"))), scroller(table)));
 }

@@ -2,7 +2,7 @@
 import { cost as costText, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
 import { csv, download } from "./csv";
-import { h, s } from "./element";
+import { h, s, scroller } from "./element";
 import { bearing, plural } from "./format";
 import type { Culprit, HopelessView, Report } from "./report_types";
 
@@ -58,7 +58,7 @@ function byView(views: readonly HopelessView[], report: Report, placement: strin
   if (rows.length > SHOWN) {
     more.append(h("button", { type: "button", onclick: () => (table.tBodies[0].append(...rows.slice(SHOWN)), more.remove()) }, `Show all ${rows.length}`));
   }
-  return [h("div", { class: "scroll" }, table), more];
+  return [scroller(table), more];
 }
 
 function byObject(culprits: readonly Culprit[]): HTMLElement[] {

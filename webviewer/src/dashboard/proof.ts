@@ -1,7 +1,7 @@
 /** What the proof by pictures found, and its worst pairs: geometry, impostor, difference. */
 import { count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
-import { h } from "./element";
+import { h, scroller } from "./element";
 import { plural } from "./format";
 import { csvButton, part } from "./report_parts";
 import type { Proof, ProofPair, Report } from "./report_types";
@@ -27,7 +27,7 @@ export function proofPanel(report: Report, placement: string): HTMLElement | nul
     ...rows.map(([name, value, hint]) => h("tr", null, h("th", { scope: "row" }, name), h("td", { class: "r nw" }, value), h("td", { class: "small q" }, hint)))));
   const header = ["impostor", "crack_px", "displacement_px", "flip", "flip_p95"];
   const button = csvButton("worst-pairs", header, () => proof.worst.map((w) => [w.impostor, w.crack_px, w.displacement_px, w.flip, w.flip_p95]));
-  return part("pf-h", "Pictures", "with impostors against with geometry, the whole level around them", button, h("div", { class: "scroll" }, table),
+  return part("pf-h", "Pictures", "with impostors against with geometry, the whole level around them", button, scroller(table),
     h("div", { class: "proof" }, ...proof.worst.filter((w) => w.pictures).map((w) => pair(w, placement, proof))));
 }
 

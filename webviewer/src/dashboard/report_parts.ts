@@ -2,7 +2,7 @@
 import { bytes, cost as costText, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
 import { csv, download, type Cell } from "./csv";
-import { h, s } from "./element";
+import { h, s, scroller } from "./element";
 import { bearing, duration, plural } from "./format";
 import { compass } from "./hopeless";
 import { icon, verdictMark } from "./icons";
@@ -99,7 +99,7 @@ export function figures(report: Report): HTMLElement | null {
   if (!there.length) return null;
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Figures"), h("tbody", null, ...there.map(([name, hint, value, kind]) =>
     h("tr", null, h("th", { scope: "row" }, name, hint ? h("small", { class: "q" }, hint) : null), h("td", { class: "r nw" }, kind === "bytes" ? bytes(value!) : count(value!))))));
-  return part("fig-h", "Figures", "", csvButton("figures", ["figure", "value"], () => there.map(([name, , value]) => [name, value!])), h("div", { class: "scroll" }, table));
+  return part("fig-h", "Figures", "", csvButton("figures", ["figure", "value"], () => there.map(([name, , value]) => [name, value!])), scroller(table));
 }
 
 export function stagesTable(report: Report): HTMLElement | null {
@@ -117,7 +117,7 @@ export function stagesTable(report: Report): HTMLElement | null {
       ...(memory ? [h("th", { scope: "col", class: "r" }, "Peak memory"), h("th", null, h("span", { class: "sr" }, "Memory as a bar"))] : []))), h("tbody", null, ...rows));
   const total = [known(report.seconds) ? duration(report.seconds) : "", known(report.peak_bytes) ? `${bytes(report.peak_bytes)} at most in one process` : ""].filter(Boolean).join(", ");
   const button = csvButton("stages", ["stage", "seconds", "peak_bytes", "skipped", "shards", "reused"], () => report.stages.map((stage) => [stage.name, stage.seconds, stage.peak_bytes, stage.skipped, stage.shards, stage.reused]));
-  return part("st-h", "Stages", total, button, h("div", { class: "scroll" }, table));
+  return part("st-h", "Stages", total, button, scroller(table));
 }
 
 export function deviceTable(report: Report): HTMLElement | null {
@@ -145,7 +145,7 @@ export function deviceTable(report: Report): HTMLElement | null {
   const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "Device profile"), h("tbody", null, ...rows.map(([name, value, hint]) =>
     h("tr", null, h("th", { scope: "row" }, name, hint ? h("small", { class: "q" }, hint) : null), h("td", { class: "r nw" }, value)))));
   const hint = fit ? "fitted to measured frames, an upper bound" : "a preset, not measured";
-  return part("dv-h", `Device ${device.name}`, hint, csvButton("device", ["figure", "value", "note"], () => rows), h("div", { class: "scroll" }, table));
+  return part("dv-h", `Device ${device.name}`, hint, csvButton("device", ["figure", "value", "note"], () => rows), scroller(table));
 }
 
 export function worstViews(report: Report, placement: string): HTMLElement | null {
@@ -160,7 +160,7 @@ export function worstViews(report: Report, placement: string): HTMLElement | nul
     h("thead", null, h("tr", null, h("th", null, h("span", { class: "sr" }, "Direction")), h("th", null, "Cell"), h("th", { class: "r" }, "Geometry"), h("th", { class: "r" }, "As placed"), h("th", { class: "noprint" }, h("span", { class: "sr" }, "Viewer")))), h("tbody", null, ...rows));
   const button = csvButton("worst-views", ["problem_view", "cell", "interval", "x_m", "y_m", "z_m", "direction_x", "direction_y", "direction_z", `geometry_${unit}`, `bound_${unit}`, "impostors", "hopeless"],
     () => views.map((v) => [v.problem_view, v.cell, v.interval, ...v.position, ...v.direction, v.geometry_cost, v.cost_bound, v.impostors, v.hopeless ? 1 : 0]));
-  return part("wv-h", "Worst views", "highest bound on the cost, as placed", button, h("div", { class: "scroll" }, table));
+  return part("wv-h", "Worst views", "highest bound on the cost, as placed", button, scroller(table));
 }
 
 export function notes(report: Report): HTMLElement | null {

@@ -3,7 +3,7 @@ import { readStorage, readUsage } from "../api/client";
 import type { Storage } from "../api/types";
 import type { UsageReply } from "../api/schema";
 import { bytes, count } from "../ui/format";
-import { h } from "./element";
+import { h, scroller } from "./element";
 import { main, openPage } from "./frame";
 import { plural } from "./format";
 import { follow, forbidden } from "./gentle";
@@ -65,7 +65,7 @@ function show(told: Storage): void {
       h("td", { class: "r nw" }, t.max_bytes === null ? h("span", { class: "q" }, "as the service says") : bytes(t.max_bytes))))));
   const loose = told.kinds["unreferenced"];
   body.replaceChildren(
-    panel("kh", "By kind", `${bytes(told.total.bytes)} in ${plural(told.total.artifacts, "artifact")}`, csvButton("storage", ["kind", "artifacts", "bytes"], () => kinds.map(([kind, k]) => [kind, k.artifacts, k.bytes])), h("div", { class: "scroll" }, kindsTable),
+    panel("kh", "By kind", `${bytes(told.total.bytes)} in ${plural(told.total.artifacts, "artifact")}`, csvButton("storage", ["kind", "artifacts", "bytes"], () => kinds.map(([kind, k]) => [kind, k.artifacts, k.bytes])), scroller(kindsTable),
       h("p", { class: "small q2" }, loose?.bytes ? `${bytes(loose.bytes)} can go: the reconciler collects them by itself, “farfield gc” does it now.` : "Nothing is kept that is not needed.")),
-    panel("th", "Tenants", plural(told.tenants.length, "tenant"), csvButton("tenants", ["tenant", "name", "scenes", "scene_bytes", "jobs", "max_bytes"], () => told.tenants.map((t) => [t.tenant, t.name, t.scenes, t.scene_bytes, t.jobs, t.max_bytes])), h("div", { class: "scroll" }, tenants)));
+    panel("th", "Tenants", plural(told.tenants.length, "tenant"), csvButton("tenants", ["tenant", "name", "scenes", "scene_bytes", "jobs", "max_bytes"], () => told.tenants.map((t) => [t.tenant, t.name, t.scenes, t.scene_bytes, t.jobs, t.max_bytes])), scroller(tenants)));
 }

@@ -2,7 +2,7 @@
 import { listWorkers } from "../api/client";
 import type { Worker, WorkerPage } from "../api/types";
 import { bytes, count } from "../ui/format";
-import { h, refill } from "./element";
+import { h, refill, scroller } from "./element";
 import { main, openPage } from "./frame";
 import { ago, duration, plural } from "./format";
 import { follow, forbidden } from "./gentle";
@@ -30,7 +30,7 @@ const save = csvButton("workers", ["worker", "host", "state", "queues", "cores",
 const table = h("table", { class: "ops" }, h("caption", { class: "sr" }, "Workers, those that work first"),
   h("thead", null, h("tr", null, ...HEAD.map(([name, end]) => h("th", { scope: "col", class: end ? "r" : null }, name)))), rows);
 const panel = h("section", { class: "panel", "aria-labelledby": "wh" }, h("header", null, h("h2", { id: "wh" }, "Who is there"), h("span", { class: "small q", id: "spread" }), h("div", { class: "end" }, save)),
-  h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Workers" }, table));
+  scroller(table));
 
 await follow(body, says, { ask: listWorkers, show, everyMs: EVERY_MS, failure: "The workers cannot be read", forbidden: () => forbidden("The workers") });
 
