@@ -154,6 +154,29 @@ def test_what_needs_much_is_not_passed_over_for_ever(in_process, monkeypatch):
     assert crowd.claim().job_id == large
 
 
+def test_a_tenant_whose_shards_do_not_fit_leaves_the_host_to_others(in_process):
+    host = Host(name="small", memory_bytes=10 * GIB)
+    for _ in range(fair.LOOKS + 1):
+        submit(in_process, in_process.tenant_id, 2, need_bytes=8 * GIB)
+    crowd = Workers(in_process, 4, host)
+    crowd.claim()
+    ours = submit(in_process, tenants.create_tenant(in_process.engine, "other"), 4, need_bytes=GIB // 2)
+    assert [crowd.claim().job_id for _ in range(3)] == [ours] * 3  # by the last it runs more, and is asked last
+
+
+def test_ready_shards_wake_somebody_where_the_clock_has_jumped_back(in_process):
+    submit(in_process, in_process.tenant_id, 5)
+    assert progress.waiting(in_process.engine, "cpu") == 5
+    with write(in_process.engine) as tx:
+        tx.execute(sa.update(shard).where(shard.c.state == "ready").values(ready_at=now() + 3600.0))
+    assert next_shard(in_process.engine, "cpu", HERE) is not None
+    assert progress.waiting(in_process.engine, "cpu") == 5
+    with write(in_process.engine) as tx:  # put off, as it may be
+        tx.execute(sa.update(shard).where(shard.c.state == "ready").values(ready_at=now() + 60.0))
+    assert next_shard(in_process.engine, "cpu", HERE) is None
+    assert progress.waiting(in_process.engine, "cpu") == 0
+
+
 def test_strangers_on_the_machine_are_seen_but_no_job_waits_for_them_for_ever(in_process, monkeypatch):
     submit(in_process, in_process.tenant_id, 2, need_bytes=4 * GIB)
     host = Host(name="small", memory_bytes=10 * GIB, free_bytes=3 * GIB)

@@ -25,7 +25,7 @@ from farfield.store.tables import job, shard, tenant
 PATIENCE_S = 60.0
 LONGEST_S = 120.0  # more than any shard is put off by
 ABREAST = 8  # first shards of a job, of which a worker takes one: all would else claim the same, and one get it
-LOOKS = 8  # shards that do not fit, before a worker gives up for now
+LOOKS = 8  # shards of a tenant that do not fit, before a worker asks for another's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +52,8 @@ def next_shard(engine: sa.Engine, queue: str, host: Host) -> Next | None:
         running = tx.execute(_RUNNING).all()
         tenants, jobs = Counter(r.tenant_id for r in running), Counter(r.job_id for r in running)
         held = sum(r.need_bytes for r in running if r.host == host.name)
-        passed: list[str] = []
         for tenant_id in _tenants(tx, tenants):
+            passed: list[str] = []
             while len(passed) < LOOKS:
                 found = _of_tenant(tx, tenant_id, queue, jobs, passed)
                 if found is None:
@@ -106,7 +106,7 @@ _TENANTS = sa.select(tenant.c.id, tenant.c.turn).where(
     sa.select(job.c.id).where(job.c.tenant_id == tenant.c.id, job.c.finished_at.is_(None)).exists()
 )
 # A shard that was put off waits; not for longer than it was told to, even where the clock has jumped back.
-_READY = (
+READY = (
     (shard.c.state == "ready") & (shard.c.queue == sa.bindparam("queue"))
     & (shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()) | (shard.c.ready_at > now() + LONGEST_S))
 )  # fmt: skip
@@ -114,7 +114,7 @@ _JOBS = (
     sa.select(job.c.id, job.c.priority, job.c.turn)
     .where(
         job.c.tenant_id == sa.bindparam("tenant"), job.c.finished_at.is_(None),
-        sa.select(shard.c.id).where(shard.c.job_id == job.c.id, _READY).exists(),
+        sa.select(shard.c.id).where(shard.c.job_id == job.c.id, READY).exists(),
     )
     .order_by(job.c.priority, job.c.turn, job.c.id)
 )  # fmt: skip
@@ -122,5 +122,5 @@ _IDLE = _JOBS.where(job.c.id.not_in(sa.bindparam("others", expanding=True))).lim
 _BUSY = _JOBS.where(job.c.id.in_(sa.bindparam("busy", expanding=True)))
 _FIRST = (
     sa.select(shard.c.id, shard.c.need_bytes, (now() - shard.c.ready_at).label("waited_s"), shard.c.job_id)
-    .where(shard.c.job_id == sa.bindparam("job"), _READY).order_by(shard.c.ordinal).limit(ABREAST)
+    .where(shard.c.job_id == sa.bindparam("job"), READY).order_by(shard.c.ordinal).limit(ABREAST)
 )  # fmt: skip

@@ -17,7 +17,7 @@ import sqlalchemy as sa
 
 from farfield.memory import Need
 from farfield.stages import Queue
-from farfield.store import counters, events
+from farfield.store import counters, events, fair
 from farfield.store.artifacts import Artifacts
 from farfield.store.engine import new_id, now, read, write
 from farfield.store.shards import LEASE_S, MAX_ATTEMPTS, lapsed, lock_job
@@ -77,16 +77,11 @@ def drop_shards(tx: sa.Connection, job_id: str) -> None:
 
 
 def waiting(engine: sa.Engine, queue: str, *, limit: int = WINDOW) -> int:
-    """Return how many shards of the queue are ready, counted up to `limit`."""
+    """Return how many shards of the queue are ready, counted up to `limit`: those that a worker would take (`fair`)."""
     alive = sa.select(job.c.id).where(job.c.id == shard.c.job_id, job.c.finished_at.is_(None)).exists()
-    ready = (
-        (shard.c.state == "ready")
-        & (shard.c.queue == queue)
-        & (shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()))
-    )
     with read(engine) as tx:
-        some = sa.select(shard.c.id).where(ready, alive).limit(limit).subquery()
-        return int(tx.scalar(sa.select(sa.func.count()).select_from(some)) or 0)
+        some = sa.select(shard.c.id).where(fair.READY, alive).limit(limit).subquery()
+        return int(tx.scalar(sa.select(sa.func.count()).select_from(some), {"queue": queue}) or 0)
 
 
 def ready(engine: sa.Engine, *, limit: int = 1000) -> list[Message]:
