@@ -38,7 +38,7 @@ def slice_response(
     wanted = request.headers.get("range", "")
     if request.headers.get("if-range", headers["etag"]) != headers["etag"]:
         wanted = ""
-    match = re.fullmatch(r"bytes=(\d*)-(\d*)", wanted.strip())
+    match = re.fullmatch(r"bytes=([0-9]{0,18})-([0-9]{0,18})", wanted.strip())
     status = 200
     if match is not None and wanted.strip() != "bytes=-":
         first, last = match.groups()

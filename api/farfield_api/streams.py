@@ -38,7 +38,7 @@ class EventPoller:
             await self._any.wait()
             try:
                 numbers = await run_in_threadpool(self._numbers, list(self._watched))
-            except sa.exc.OperationalError:
+            except sa.exc.SQLAlchemyError:  # such as a pool without a free connection: this task must not end
                 numbers = {}
             for job_id, number in numbers.items():
                 if self._known.get(job_id) != number:

@@ -33,6 +33,7 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 _NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
+_SPECIAL = ipaddress.IPv4Network("192.0.0.0/24")  # special purposes (RFC 6890): a cloud's metadata lies there
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +110,8 @@ def is_public(address: Address) -> bool:
         inner += [a for a in (address.ipv4_mapped, address.sixtofour, *(address.teredo or ())) if a is not None]
         if address in _NAT64 or int(address) < 1 << 32:
             inner.append(ipaddress.IPv4Address(int(address) & 0xFFFF_FFFF))
+    elif address in _SPECIAL:
+        return False
     plain = not (address.is_multicast or address.is_reserved or address.is_unspecified) and address.is_global
     return (plain or address in _NAT64 if isinstance(address, ipaddress.IPv6Address) else plain) and all(
         map(is_public, inner)

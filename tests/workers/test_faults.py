@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 from farfield.stages import Stage
-from farfield.store import progress, shards
+from farfield.store import jobs, progress, shards
 from farfield.store.engine import now, write
 from farfield.store.tables import job, shard
+from farfield_workers.work import advance
 
 
 def reach(bench, message, name, kind="run"):
@@ -78,6 +79,25 @@ def test_an_upload_that_is_lost_fails_the_job_by_name(in_process):
     row = in_process.job(job_id)
     assert (row.state, row.error["code"]) == ("failed", "ArtifactLost")
     assert "Upload" in row.error["advice"]
+
+
+def test_a_report_that_is_lost_before_the_job_ends_fails_it_and_a_retry_writes_it_anew(in_process, monkeypatch):
+    job_id, message = in_process.submit()
+    at = reach(in_process, message, str(list(Stage)[-1]), kind="report")
+    with monkeypatch.context() as dying:  # the worker ends between its commit and the next step
+        dying.setattr("farfield_workers.work.advance", lambda *_: [])
+        in_process.work(at)
+    assert progress.standing_still(in_process.engine) == [job_id]
+    with write(in_process.engine) as tx:
+        digest = tx.scalar(sa.select(shard.c.artifact_digest).where(shard.c.id == at.shard_id))
+    in_process.artifacts.path(digest).unlink()
+    pieces = in_process.engine, in_process.artifacts, in_process.pipeline, in_process.settings
+    assert advance(*pieces, job_id) == []
+    row = in_process.job(job_id)
+    assert (row.state, row.error["code"]) == ("failed", "ArtifactLost")
+    for again in jobs.retry(in_process.engine, in_process.tenant_id, job_id):
+        in_process.run(again)
+    assert (in_process.job(job_id).state, in_process.job(job_id).verdict) == ("done", "valid")
 
 
 def test_a_full_disk_puts_a_shard_off_and_costs_it_no_attempt(in_process, monkeypatch):

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 import sqlalchemy as sa
 from farfield import memory
-from farfield.errors import FarfieldError, OverMemory, StageFailed, StoreUnavailable
+from farfield.errors import ArtifactLost, FarfieldError, OverMemory, StageFailed, StoreUnavailable
 from farfield.pipeline import Inputs, shard_key
 from farfield.stages import Stage
 from farfield.store import progress, shards
@@ -106,7 +106,12 @@ def advance(
     def move() -> list[Message]:
         return patiently(lambda: progress.advance(engine, artifacts, job_id, pipeline.kinds()))
 
-    return mender.mending(move, job_id)
+    try:
+        return mender.mending(move, job_id)
+    except ArtifactLost as error:  # nobody can move it on: it ends, by name
+        told = _told(error, "")
+        patiently(lambda: progress.spoil(engine, job_id, told))
+        return move()
 
 
 def restorer(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings) -> Restorer:

@@ -70,6 +70,23 @@ def fail_job(tx: sa.Connection, job_id: str, stage_id: str, error: Mapping[str, 
         events.append(tx, job_id, "job", {"state": "failed", "error": dict(error)})
 
 
+def spoil(engine: sa.Engine, job_id: str, error: Mapping[str, Any]) -> None:
+    """Fail the shard whose result, a plan or the report, the job's next step reads, and cannot: `advance` then ends the job,
+    and a retry computes it anew.
+    """
+    with write(engine) as tx:
+        lock_job(tx, job_id)
+        of = (stage.c.job_id == job_id) & stage.c.state.in_(("planning", "reporting"))
+        at = tx.execute(sa.select(stage.c.id, stage.c.name, stage.c.state).where(of)).one_or_none()
+        if at is None:
+            return
+        kind = {"planning": "plan", "reporting": "report"}[at.state]
+        read_next = (shard.c.stage_id == at.id) & (shard.c.kind == kind) & (shard.c.state == "done")
+        if tx.execute(sa.update(shard).where(read_next).values(state="failed", error=dict(error))).rowcount:
+            fact = {"stage": at.name, "kind": kind, "ordinal": 0, "state": "failed", "error": dict(error)}
+            events.append(tx, job_id, "shard", fact)
+
+
 def drop_shards(tx: sa.Connection, job_id: str) -> None:
     """Cancel what is ready or running; a worker notices at its next renewal or commit."""
     open_ = shard.c.state.in_(("ready", "running"))

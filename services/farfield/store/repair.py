@@ -80,6 +80,11 @@ def set_back(engine: sa.Engine, job_id: str, lost: set[str]) -> str:
         for later in stages[first.ordinal + 1 :]:
             if timed or later in gone or later is open_ or (over and later is last):
                 _start_over(tx, later)
+        held = sa.exists().where(shard.c.id == job.c.optimizer_shard_id, shard.c.state == "running")
+        # The lease of an optimizer whose shard has gone would keep the new one waiting; the fence stays.
+        tx.execute(
+            sa.update(job).where(job.c.id == job_id, ~held).values(optimizer_until=None, optimizer_shard_id=None)
+        )
         if over:
             tx.execute(
                 sa.update(job).where(job.c.id == job_id)
