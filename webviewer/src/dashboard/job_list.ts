@@ -5,6 +5,7 @@ import { h, refill } from "./element";
 import { historyOf, Ratchet, type History } from "./estimate";
 import { confirmed, failed, note, onKey, showLine } from "./frame";
 import { COLUMNS, fillRow, makeRow, type RowData } from "./job_row";
+import { rowWindow } from "./row_window";
 
 const BUSY_MS = 1500;
 const IDLE_MS = 10_000;
@@ -21,9 +22,19 @@ const STATES: Record<StateFilter, (job: Job) => boolean> = {
   failed: (j) => j.state === "failed" || j.state === "cancelled",
 };
 
+const ROW_PX = 58;
+
+function spacer(): HTMLTableRowElement {
+  return h("tr", { class: "spacer", "aria-hidden": "true" }, h("td", { colspan: COLUMNS.length }));
+}
+
 export class JobList {
   readonly element: HTMLElement;
-  private readonly rows = new Map<string, { row: HTMLTableRowElement; data: RowData }>();
+  private readonly rows = new Map<string, { row: HTMLTableRowElement | null; data: RowData }>();
+  private shownNow: string[] = [];
+  private readonly above = spacer();
+  private readonly beneath = spacer();
+  private reading: Promise<void> | null = null;
   private order: string[] = [];
   private cursor: string | null = null;
   private readonly histories: History[] = [];
@@ -59,6 +70,10 @@ export class JobList {
     onKey("ArrowDown", (e) => this.step(e, 1));
     onKey("ArrowUp", (e) => this.step(e, -1));
     onKey("Escape", () => document.activeElement === this.search && this.clear());
+    let drawing = 0;
+    const soon = (): void => void (drawing ||= requestAnimationFrame(() => ((drawing = 0), this.drawRows())));
+    addEventListener("scroll", soon, { passive: true });
+    addEventListener("resize", soon);
     document.addEventListener("visibilitychange", () => !document.hidden && void this.refresh());
   }
 
@@ -78,7 +93,8 @@ export class JobList {
       const known = new Set(this.order);
       const fresh = page.jobs.map((j) => j.id);
       // What lies beyond the first page stays as it was read; a page never loses a row that it showed.
-      this.order = [...fresh, ...this.order.filter((id) => !fresh.includes(id))];
+      const newest = new Set(fresh);
+      this.order = [...fresh, ...this.order.filter((id) => !newest.has(id))];
       if (!this.loaded || !known.size) this.cursor = page.next;
       for (const job of page.jobs) this.put(job);
       await this.readMore();
@@ -103,7 +119,7 @@ export class JobList {
   private put(job: Job): void {
     const held = this.rows.get(job.id);
     if (held) held.data.job = job;
-    else this.rows.set(job.id, { row: makeRow(), data: { job, detail: null } });
+    else this.rows.set(job.id, { row: null, data: { job, detail: null } });
   }
 
   /** Stages of what runs. */
@@ -117,9 +133,32 @@ export class JobList {
     for (const d of running) d.detail = await readJob(d.job.id);
   }
 
-  private fill(id: string): void {
+  private rowOf(id: string): HTMLTableRowElement {
     const held = this.rows.get(id)!;
+    held.row ??= makeRow();
     fillRow(held.row, held.data, this.histories, this.ratchet, (job) => void this.cancel(job));
+    return held.row;
+  }
+
+  /** Puts the rows in sight into the table, and a little more; spacers stand for the rest. */
+  private drawRows(): void {
+    const n = this.shownNow.length;
+    const real = [...this.body.rows].find((row) => !row.hasAttribute("aria-hidden"));
+    const height = Math.max(20, real?.getBoundingClientRect().height ?? ROW_PX);
+    const top = this.body.getBoundingClientRect().top;
+    const focused = this.shownNow.findIndex((id) => this.rows.get(id)!.row?.contains(document.activeElement));
+    const { first, last } = rowWindow(n, height, -top, innerHeight, n === 0 ? -1 : focused);
+    const rows: HTMLTableRowElement[] = this.shownNow.slice(first, last).map((id) => this.rowOf(id));
+    if (first > 0) rows.unshift(this.above);
+    if (last < n) rows.push(this.beneath);
+    (this.above.firstElementChild as HTMLElement).style.setProperty("height", `${first * height}px`);
+    (this.beneath.firstElementChild as HTMLElement).style.setProperty("height", `${(n - last) * height}px`);
+    const wanted = new Set(rows);
+    for (const row of [...this.body.rows]) if (!wanted.has(row)) row.remove();
+    rows.forEach((row, k) => this.body.rows[k] !== row && this.body.insertBefore(row, this.body.rows[k] ?? null));
+    this.table.setAttribute("aria-rowcount", String(this.cursor ? -1 : n + 1));
+    const all = this.filter();
+    if (this.cursor && last === n && top + n * height < 2 * innerHeight && scrollY > 0 && all.state === "all" && !all.words.length) void this.older();
   }
 
   private shown(): string[] {
@@ -132,13 +171,8 @@ export class JobList {
   }
 
   private draw(): void {
-    const shown = this.shown();
-    shown.forEach((id, k) => {
-      const { row } = this.rows.get(id)!;
-      this.fill(id);
-      if (this.body.rows[k] !== row) this.body.insertBefore(row, this.body.rows[k] ?? null);
-    });
-    while (this.body.rows.length > shown.length) this.body.rows[this.body.rows.length - 1].remove();
+    const shown = (this.shownNow = this.shown());
+    this.drawRows();
     const jobs = this.order.map((id) => this.rows.get(id)!.data.job);
     const active = jobs.filter(STATES.active).length;
     const broken = jobs.filter((j) => j.state === "failed").length;
@@ -164,7 +198,12 @@ export class JobList {
       h("div", { class: "more" }, h("button", { type: "button", onclick: () => this.clear() }, "Clear filter"))), more];
   }
 
-  private async older(): Promise<void> {
+  private older(): Promise<void> {
+    this.reading ??= this.readOlder().finally(() => (this.reading = null));
+    return this.reading;
+  }
+
+  private async readOlder(): Promise<void> {
     if (!this.cursor) return;
     try {
       const page = await listJobs({ limit: PAGE, cursor: this.cursor });
@@ -217,10 +256,12 @@ export class JobList {
 
   private step(event: KeyboardEvent, by: number): void {
     if (event.target instanceof HTMLInputElement && event.target.type === "radio") return; // arrows choose there
-    const links = [...this.body.querySelectorAll<HTMLAnchorElement>(".scene a")];
-    if (!links.length) return;
-    const at = links.findIndex((a) => a.closest("tr")!.contains(document.activeElement));
-    links[Math.max(0, Math.min(links.length - 1, at < 0 ? 0 : at + by))].focus();
+    if (!this.shownNow.length) return;
+    const at = this.shownNow.findIndex((id) => this.rows.get(id)!.row?.contains(document.activeElement));
+    const next = Math.max(0, Math.min(this.shownNow.length - 1, at < 0 ? 0 : at + by));
+    const row = this.rowOf(this.shownNow[next]);
+    if (!row.isConnected) scrollTo({ top: 0 }), this.drawRows(); // only the first may be out of the window
+    row.querySelector<HTMLAnchorElement>(".scene a")?.focus();
     event.preventDefault();
   }
 }

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { Worker } from "../api/types";
 import { pauseMs } from "./pause";
+import { rowWindow } from "./row_window";
 import { busyShare, renderer, spread, unserved } from "./worker_facts";
 
 function worker(change: Partial<Worker>): Worker {
@@ -34,5 +35,23 @@ describe("workers", () => {
 describe("asking gently", () => {
   it("asks rarer the longer nobody answers, and at least once a minute", () => {
     expect([0, 1, 2, 3, 9].map((n) => pauseMs(5000, n))).toEqual([5000, 10_000, 20_000, 40_000, 60_000]);
+  });
+});
+
+describe("rows of a long list", () => {
+  it("are those in sight and some around them, at both ends too", () => {
+    expect(rowWindow(10_000, 58, -200, 900, -1)).toEqual({ first: 0, last: 25 });
+    const middle = rowWindow(10_000, 58, 58 * 5000, 900, -1);
+    expect(middle.first).toBe(4988);
+    expect(middle.last).toBe(5000 + 16 + 12);
+    expect(rowWindow(10_000, 58, 58 * 9990, 900, -1)).toEqual({ first: 9978, last: 10_000 });
+    expect(rowWindow(10_000, 58, 1e9, 900, -1)).toEqual({ first: 9988, last: 10_000 });
+    expect(rowWindow(0, 58, -10, 900, -1)).toEqual({ first: 0, last: 0 });
+  });
+
+  it("keep the row with the focus while it is near, and never grow without bound", () => {
+    expect(rowWindow(10_000, 58, 58 * 5000, 900, 4970).first).toBe(4969);
+    const far = rowWindow(10_000, 58, 58 * 5000, 900, 3);
+    expect(far.last - far.first).toBeLessThan(120);
   });
 });
