@@ -149,6 +149,14 @@ class RateLimited(FarfieldError):
         self.headers = {**headers, "retry-after": str(wait_s)}
 
 
+class StreamsTooMany(FarfieldError):
+    advice = "Close a stream, or read the events as JSON pages (Accept: application/json)."
+    headers: ClassVar = {"retry-after": "15"}
+
+    def __init__(self, most: int) -> None:
+        super().__init__(f"{most} event streams of this key are open")
+
+
 class PreconditionFailed(FarfieldError):
     advice = "Read it again, look at what has changed, and send If-Match with its new ETag."
 
@@ -194,6 +202,7 @@ STATUS: dict[type[FarfieldError], int] = {
     TenantNeeded: 422,
     DeviceBusy: 429,
     RateLimited: 429,
+    StreamsTooMany: 429,
     PreconditionFailed: 412,
     errors.QuotaExceeded: 403,
     errors.RunningQuotaExceeded: 429,

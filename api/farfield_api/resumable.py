@@ -25,8 +25,9 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from farfield.errors import FarfieldError, UploadNotFound
-from farfield.store import uploads
+from farfield.errors import FarfieldError, SceneNotFound, UploadNotFound
+from farfield.store import quotas, scenes, uploads
+from farfield.store.engine import read
 from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 
@@ -68,6 +69,18 @@ def need_room(service: State, n_bytes: int) -> None:
     """Raise StoreFull where a file of so many bytes would not fit."""
     if shutil.disk_usage(folder_of(service)).free < n_bytes + SPARE_BYTES:
         raise StoreFull
+
+
+def need_quota(service: State, tenant_id: str, n_bytes: int, digest: str | None) -> None:
+    """Raise QuotaExceeded where the tenant may not store so much: before the bytes come, not after.
+
+    digest  a scene that the tenant has is no more of it
+    """
+    with suppress(SceneNotFound):
+        if digest is not None and scenes.get(service.engine, tenant_id, digest) is not None:
+            return
+    with read(service.engine) as tx:
+        quotas.check_bytes(tx, tenant_id, service.settings.quota, n_bytes)
 
 
 async def append(request: Request, service: State, row: sa.Row[Any], offset: int) -> sa.Row[Any]:

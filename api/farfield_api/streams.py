@@ -1,6 +1,7 @@
 """One poller a process feeds all its event streams: a hundred idle streams cost one small query at a time."""
 
 import asyncio
+from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,7 +12,10 @@ from farfield.store.engine import read
 from farfield.store.jobs import ENDED
 from starlette.concurrency import run_in_threadpool
 
+from farfield_api.errors import StreamsTooMany
+
 PAGE = 500
+MOST_OF_A_KEY = 1000  # open streams, in one process
 KEEP_ALIVE_S = 15.0
 
 
@@ -23,7 +27,21 @@ class EventPoller:
         self._watched: dict[str, set[asyncio.Event]] = {}
         self._known: dict[str, int] = {}
         self._any = asyncio.Event()
+        self._open: Counter[str] = Counter()
         self.closing = False
+
+    @contextmanager
+    def counted(self, key_id: str) -> Iterator[None]:
+        """Count an open stream of the key. Raises StreamsTooMany."""
+        if self._open[key_id] >= MOST_OF_A_KEY:
+            raise StreamsTooMany(MOST_OF_A_KEY)
+        self._open[key_id] += 1
+        try:
+            yield
+        finally:
+            self._open[key_id] -= 1
+            if not self._open[key_id]:
+                del self._open[key_id]
 
     def close(self) -> None:
         """End all streams: the process is about to stop, and their clients take them up again elsewhere."""

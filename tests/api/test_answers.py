@@ -5,6 +5,7 @@ import gzip
 
 import pytest
 from farfield.store import tenants
+from farfield_api import streams
 from farfield_api.answers import accepts_gzip, etag_of, matches
 from farfield_api.routes import events
 
@@ -169,6 +170,20 @@ def test_a_stream_ends_with_its_key(service, monkeypatch):
             pass
         tenants.revoke_key(service.engine, key.split("_")[1])
         assert list(lines) is not None  # it ends
+
+
+def test_a_key_has_only_so_many_streams_open(service, worker, monkeypatch):
+    job = service.create()
+    worker()
+    path, other = f"/v1/jobs/{job}/events", {"authorization": f"Bearer {service.new_key('read')}"}
+    poller, key_id = service.client.app.state.farfield.poller, service.key.split("_")[1]
+    monkeypatch.setattr(streams, "MOST_OF_A_KEY", 1)
+    with poller.counted(key_id):
+        answer = service.client.get(path)
+        assert (answer.status_code, answer.json()["code"]) == (429, "StreamsTooMany")
+        assert service.client.get(path, headers={"accept": "application/json"}).status_code == 200
+        assert service.client.get(path, headers=other).status_code == 200
+    assert [service.client.get(path).status_code for _ in range(3)] == [200] * 3  # each ends, and is counted off
 
 
 def test_a_reader_that_takes_nothing_is_left_alone(monkeypatch):

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 import sqlalchemy as sa
 from farfield.store.engine import write
+from farfield.store.quotas import Quota
 from farfield.store.tables import upload
 from farfield_api import resumable
 from farfield_api.body import Body
@@ -189,6 +190,15 @@ def test_only_so_many_may_be_open(service):
     assert (start(service).status_code, start(service).json()["code"]) == (429, "UploadsTooMany")
     piece(service, ours[0].headers["location"], 0, DATA)
     assert start(service).status_code == 201
+
+
+def test_what_exceeds_the_quota_is_refused_before_its_bytes_are_sent(service):
+    where = start(service).headers["location"]
+    piece(service, where, 0, DATA)
+    object.__setattr__(service.settings, "quota", Quota(max_bytes=len(DATA) + 50_000))
+    other = DATA.replace(b"x", b"y")
+    assert (start(service, other).status_code, start(service, other).json()["code"]) == (403, "QuotaExceeded")
+    assert start(service).status_code == 201  # the tenant has it: it costs nothing
 
 
 def test_bytes_beyond_what_was_synced_are_written_over(service):

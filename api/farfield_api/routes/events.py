@@ -8,6 +8,7 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator
+from contextlib import AbstractContextManager, nullcontext
 from typing import Annotated, Any, Literal
 
 from farfield.store import events, jobs, tenants
@@ -44,21 +45,24 @@ _STREAM: dict[int | str, dict[str, Any]] = {
 
 
 class Followed(EventSourceResponse):
-    """A stream that waits for its reader only so long."""
+    """A stream that waits for its reader only so long. `held` is entered before it begins, and may refuse it."""
+
+    held: AbstractContextManager[None] = nullcontext()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def timely(message: Message) -> None:
             async with asyncio.timeout(STALL_S):
                 await send(message)
 
-        try:
-            await super().__call__(scope, receive, timely)
-        except (TimeoutError, ClientDisconnect):
-            return  # the connection is closed: the reader goes on from the last id it has
+        with self.held:
+            try:
+                await super().__call__(scope, receive, timely)
+            except (TimeoutError, ClientDisconnect):
+                return  # the connection is closed: the reader goes on from the last id it has
 
 
 @router.get(
-    "/{job_id}/events", responses={**_STREAM, **refusals("JobNotFound")}, response_class=Response,
+    "/{job_id}/events", responses={**_STREAM, **refusals("JobNotFound", "StreamsTooMany")}, response_class=Response,
     summary="What happened, and what happens",
 )  # fmt: skip
 async def follow(
@@ -77,7 +81,9 @@ async def follow(
     if row.state in jobs.ENDED and after >= row.event_seq:
         return Response(status_code=204)
     frames = _frames(service, caller, job_id, after, kind)
-    return Followed(frames, headers={"cache-control": "no-store", "x-accel-buffering": "no"})
+    followed = Followed(frames, headers={"cache-control": "no-store", "x-accel-buffering": "no"})
+    followed.held = service.poller.counted(caller.key_id)
+    return followed
 
 
 async def _frames(service: State, caller: Caller, job_id: str, after: int, kind: Kind | None) -> AsyncIterator[bytes]:

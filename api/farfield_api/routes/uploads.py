@@ -74,7 +74,8 @@ def options(response: Response, caller: Reader, service: Service) -> None:
     "", status_code=201, dependencies=[Tus], max_body_size=UNLIMITED, openapi_extra=_PIECE_BODY, response_class=Response,
     summary="Start an upload; the answer's Location is where its bytes go",
     responses={201: {"description": "started", "content": {}},
-               **refusals("TusVersionUnknown", "UploadHeaderInvalid", "UploadTooLarge", "UploadsTooMany", "StoreFull")},
+               **refusals("TusVersionUnknown", "UploadHeaderInvalid", "UploadTooLarge", "UploadsTooMany", "StoreFull",
+                          "QuotaExceeded")},
 )  # fmt: skip
 async def create(
     request: Request,
@@ -97,6 +98,7 @@ async def create(
             "sha256 in Upload-Metadata is the SHA-256 of the file as 64 hexadecimal digits, in base64"
         )
     await run_in_threadpool(resumable.need_room, service, upload_length)
+    await run_in_threadpool(resumable.need_quota, service, caller.tenant_id, upload_length, digest)
     upload_id = await run_in_threadpool(
         lambda: uploads.create(
             service.engine, caller.tenant_id, name=plain_name(told.get("filename", "")), n_bytes=upload_length,
