@@ -19,6 +19,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="search for the worst view of N cells, the worst cells first (default 100)",
     )  # fmt: skip
     parser.add_argument(
+        "--bound", type=int, default=0, metavar="N",
+        help="also hold the bounds of N problem views against the union of dense cameras (default 0)",
+    )  # fmt: skip
+    parser.add_argument(
         "--pictures", type=int, default=0, metavar="N",
         help="also compare pictures with and without impostors, for N random (impostor, viewpoint) pairs (default 0)",
     )  # fmt: skip
@@ -41,6 +45,12 @@ def run(args: argparse.Namespace) -> int:
         raise SettingsInvalid("--pictures", "must be at least 0")
     found = verify(args.folder, views=args.views, seed=args.seed, climbs=args.climb)
     failed = refuted(found)
+    if args.bound > 0:
+        from farfield.evaluation.bound import bound_over_union
+        from farfield.placementdb.read import Placement
+
+        found["bound"] = bound_over_union(Placement.open(args.folder), views=args.bound, seed=args.seed)
+        failed = failed or found["bound"]["below_one"] > 0
     if args.pictures:
         from farfield.evaluation.proof.merge import merge_proofs
         from farfield.evaluation.proof.prove import prove_apart
@@ -85,6 +95,10 @@ def _show(found: dict) -> None:
             f"{sought['random_worst_ratio']:.4f} to {max(sought['worst_ratio'], sought['random_worst_ratio']):.4f}"
             + (f", a cell's worst at median {100 * (gain - 1):.1f} % up" if gain is not None else ""),
         )  # fmt: skip
+    if (bound := found.get("bound")) and bound["views"]:
+        over = bound["over_union"]
+        table.add_row("bound", f"of {bound['views']} problem views, over the union of {bound['samples']} cameras each: "
+                               f"median {over['median']:.4f}, {over['least']:.4f} to {over['most']:.4f}")  # fmt: skip
     if found["in_hopeless_views"]:
         ratio = found["worst_hopeless_ratio"]
         table.add_row("hopeless", f"{found['in_hopeless_views']} views fell into hopeless ones, worst {ratio:.4f}")

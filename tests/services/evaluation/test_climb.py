@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from farfield.cli.main import main
+from farfield.evaluation.bound import bound_over_union
 from farfield.evaluation.climb import _angles, _direction, climb
 from farfield.evaluation.verify import verify
 from farfield.placementdb.read import Placement
@@ -115,3 +116,13 @@ def test_a_folder_that_cannot_be_written_is_verified_all_the_same(
     assert main(["verify", str(folder), "--views", "20", "--climb", "0", "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["views"] == 20 and "Permission denied" in said.err
+
+
+def test_bounds_are_held_against_the_union_of_dense_cameras(folder: Path) -> None:
+    placement = Placement.open(folder)
+    found = bound_over_union(placement, views=12, samples=40)
+    assert (found["views"], found["below_one"]) == (12, 0) and found["over_union"]["least"] >= 1
+    assert found["over_worst"]["median"] >= found["over_union"]["median"]
+    for k in range(len(placement.manifest["chunks"])):  # bounds that are too low do not pass
+        placement.chunk(k)["view_geometry_cost"] = placement.chunk(k)["view_geometry_cost"] // 20
+    assert bound_over_union(placement, views=12, samples=40)["below_one"] > 0
