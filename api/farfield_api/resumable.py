@@ -110,7 +110,12 @@ async def append(request: Request, service: State, row: sa.Row[Any], offset: int
         body = Body(request, service.settings.stall_s)
         received = await _write(body, service, row, handle, offset, checksum)
         if received == row.n_bytes:
-            await _finish(service, row, path)
+            try:
+                await _finish(service, row, path)
+            except FileNotFoundError:
+                if path.exists():
+                    raise
+                raise UploadNotFound(row.id) from None  # given up meanwhile, before it was read
     return await run_in_threadpool(uploads.get, service.engine, tenant_id, row.id)
 
 

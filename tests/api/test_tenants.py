@@ -10,6 +10,7 @@ from farfield.store.engine import read, write
 from farfield.store.quotas import Quota
 from farfield.store.tables import api_key, audit
 from farfield_api.app import make_app
+from farfield_api.routes import keys
 from starlette.testclient import TestClient
 
 
@@ -141,6 +142,19 @@ def test_a_tenant_stores_no_more_bytes_than_it_may(service, worker):
     freed = service.client.delete(f"/v1/jobs/{job}").json()["bytes"]
     assert service.client.get("/v1/usage").json()["bytes"] == used - freed
     assert service.client.post("/v1/scenes", content=b'{"b": "0123456789"}', headers=other).status_code == 201
+
+
+def test_a_tenant_cannot_multiply_its_limits_by_keys_without_end(service, monkeypatch):
+    monkeypatch.setattr(keys, "MOST", 3)
+    answers = [service.client.post("/v1/keys", json={"name": "more", "scopes": ["read"]}) for _ in range(4)]
+    made = [a.json()["id"] for a in answers if a.status_code == 201]
+    assert answers[-1].json()["code"] == "QuotaExceeded"
+    assert len(made) < 3
+    rotate = f"/v1/keys/{made[0]}/rotate"
+    assert service.client.post(rotate, json={"grace_s": 3600}).json()["code"] == "QuotaExceeded"
+    assert service.client.post(rotate, json={}).status_code == 201  # the old one ends
+    assert service.client.delete(f"/v1/keys/{made[1]}").status_code == 200
+    assert service.client.post("/v1/keys", json={"name": "more", "scopes": ["read"]}).status_code == 201
 
 
 def test_a_key_that_asks_too_often_is_told_when_to_go_on(service):

@@ -184,6 +184,20 @@ def test_an_upload_ends_by_request_and_by_its_time(service):
     assert left_over(service) == ["fresh"]
 
 
+def test_an_upload_given_up_while_it_waits_to_be_read_is_not_found(service, monkeypatch):
+    where = start(service).headers["location"]
+    state = service.client.app.state.farfield
+
+    async def after_its_end(*_):
+        resumable.forget(state, where.rsplit("/", 1)[1])
+        return await accept(*_)
+
+    accept = resumable.accept
+    monkeypatch.setattr(resumable, "accept", after_its_end)
+    assert piece(service, where, 0, DATA).json()["code"] == "UploadNotFound"
+    assert left_over(service) == []
+
+
 def test_only_so_many_may_be_open(service):
     object.__setattr__(service.settings, "open_uploads", 2)
     ours = [start(service) for _ in range(2)]

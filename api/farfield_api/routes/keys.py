@@ -19,6 +19,7 @@ from farfield_api.times import iso
 router = APIRouter(prefix="/v1/keys", tags=["keys"])
 
 YEARS_S = 10 * 366 * 86400
+MOST = 200  # valid keys of a tenant: each has rate limits of its own
 _Seconds = Annotated[int | None, Field(ge=1, le=YEARS_S)]
 
 
@@ -42,11 +43,13 @@ class RotateRequest(BaseModel):
     expires_in_s: _Seconds = Field(None, description="of the new key; null: as long as the old one was made for")
 
 
-@router.post("", status_code=201, summary="Make a key; its secret is in this answer only")
+@router.post(
+    "", status_code=201, summary="Make a key; its secret is in this answer only", responses=refusals("QuotaExceeded")
+)
 def create(wanted: KeyRequest, response: Response, caller: Admin, service: Service) -> NewKeyReply:
     _may_give(caller, wanted.scopes)
     key = tenants.create_key(
-        service.engine, caller.tenant_id, wanted.name, wanted.scopes, lifetime_s=wanted.expires_in_s
+        service.engine, caller.tenant_id, wanted.name, wanted.scopes, lifetime_s=wanted.expires_in_s, most=MOST
     )
     return _made(service, caller, key, response)
 
@@ -67,12 +70,12 @@ def show(key_id: Id, caller: Admin, service: Service) -> KeyReply:
 
 @router.post(
     "/{key_id}/rotate", status_code=201, summary="Make a key of the same name and scopes; the old one ends",
-    responses=refusals("KeyNotFound"),
+    responses=refusals("KeyNotFound", "QuotaExceeded"),
 )  # fmt: skip
 def rotate(key_id: Id, response: Response, caller: Admin, service: Service, wanted: RotateRequest) -> NewKeyReply:
     _may_give(caller, set(tenants.get_key(service.engine, caller.tenant_id, key_id).scopes.split()))
     key = tenants.rotate_key(
-        service.engine, caller.tenant_id, key_id, grace_s=wanted.grace_s, lifetime_s=wanted.expires_in_s
+        service.engine, caller.tenant_id, key_id, grace_s=wanted.grace_s, lifetime_s=wanted.expires_in_s, most=MOST
     )
     return _made(service, caller, key, response)
 

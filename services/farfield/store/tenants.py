@@ -13,7 +13,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from farfield.errors import KeyNotFound, TenantExists, TenantNotFound
+from farfield.errors import KeyNotFound, QuotaExceeded, TenantExists, TenantNotFound
 from farfield.store.engine import new_id, now, read, write
 from farfield.store.pages import Cursor, newest_first, owned
 from farfield.store.tables import SCOPES, api_key, login, tenant
@@ -75,23 +75,32 @@ def page_of_tenants(engine: sa.Engine, *, before: Cursor | None, limit: int) -> 
 
 
 def create_key(
-    engine: sa.Engine, tenant_id: str, name: str, scopes: Collection[str], *, lifetime_s: float | None = None
-) -> str:
-    """Make an API key and return it; it cannot be read again. `scopes`: words of tables.SCOPES."""
+    engine: sa.Engine, tenant_id: str, name: str, scopes: Collection[str], *, lifetime_s: float | None = None,
+    most: int | None = None,
+) -> str:  # fmt: skip
+    """Make an API key and return it; it cannot be read again. `scopes`: words of tables.SCOPES.
+
+    most  keys of the tenant that may be valid at a time; None: any number. Raises QuotaExceeded.
+    """
     assert set(scopes) <= set(SCOPES)
     with write(engine) as tx:
+        _check_number(tx, tenant_id, most)
         return _insert_key(tx, tenant_id, name, " ".join(s for s in SCOPES if s in scopes), _after(lifetime_s))
 
 
 def rotate_key(
-    engine: sa.Engine, tenant_id: str, key_id: str, *, grace_s: float, lifetime_s: float | None = None
-) -> str:
+    engine: sa.Engine, tenant_id: str, key_id: str, *, grace_s: float, lifetime_s: float | None = None,
+    most: int | None = None,
+) -> str:  # fmt: skip
     """Make a key of the same name and scopes and return it; the old one ends after `grace_s`, if not sooner.
 
-    lifetime_s  of the new key; None: as long as the old one was made for. Raises KeyNotFound.
+    lifetime_s  of the new key; None: as long as the old one was made for. Raises KeyNotFound
+    most        as for create_key, where the old key lives on. Raises QuotaExceeded.
     """
     with write(engine) as tx:
         old = _key(tx, tenant_id, key_id, alive=True)
+        if grace_s:
+            _check_number(tx, old.tenant_id, most)
         expires_at: Any = _after(lifetime_s)
         if lifetime_s is None and old.expires_at is not None:
             expires_at = now() + (old.expires_at - old.created_at)
@@ -184,6 +193,12 @@ def _alive() -> sa.ColumnElement[bool]:
 
 def _after(seconds: float | None) -> Any:
     return now() + seconds if seconds is not None else None
+
+
+def _check_number(tx: sa.Connection, tenant_id: str, most: int | None) -> None:
+    valid = sa.select(sa.func.count()).select_from(api_key).where(api_key.c.tenant_id == tenant_id, _alive())
+    if most is not None and (there := int(tx.scalar(valid) or 0)) >= most:
+        raise QuotaExceeded("keys", there, most)
 
 
 def _insert_key(tx: sa.Connection, tenant_id: str, name: str, scopes: str, expires_at: Any) -> str:
