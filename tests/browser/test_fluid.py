@@ -30,8 +30,8 @@ STREAM = """([job, pace]) => {
           const k = window.sent >> 1;
           const data = {stage: 'viewspace', kind: 'run', ordinal: k, attempt: 1, state: window.sent % 2 ? 'done' : 'running',
                         ...(window.sent % 2 ? {seconds: 1.5, cached: false} : {})};
-          const event = {seq: window.sent + 1, kind: 'shard', data, at: new Date().toISOString()};
-          out.enqueue(text.encode(`id: ${event.seq}\\nevent: shard\\ndata: ${JSON.stringify(event)}\\n\\n`));
+          const event = {...data, at: new Date().toISOString()};
+          out.enqueue(text.encode(`id: ${window.sent + 1}\\nevent: shard\\ndata: ${JSON.stringify(event)}\\n\\n`));
         }
       }, pace);
     } });
@@ -40,7 +40,8 @@ STREAM = """([job, pace]) => {
 }"""
 WATCH = """() => {
   window.longTasks = [];
-  new PerformanceObserver(l => { for (const e of l.getEntries()) longTasks.push(Math.round(e.duration)); }).observe({type: 'longtask'});
+  const keep = list => { for (const e of list.getEntries()) longTasks.push(Math.round(e.duration)); };
+  new PerformanceObserver(keep).observe({type: 'longtask'});
 }"""
 
 
