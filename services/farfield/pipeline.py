@@ -551,7 +551,7 @@ STEPS: dict[Stage, Step] = {
              plan=_placement_plan, run=_placement, merge=_placement_merge, reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
         Step(stage=Stage.BAKE, need=Need(base_mib=1500),
-             version=5, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
+             version=6, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=_nothing_chosen,
              plan=_bake_plan, run=_bake, merge=_bake_merge,
              reads=(_CAMERA, _QUALITY, "placement.candidates", "placement.far_m")),
         Step(stage=Stage.REPAIR, need=Need(base_mib=900),

@@ -65,5 +65,8 @@ def composed(
             full = bool(adjoining) or bool(beside[t])
             mean = sum(decode[rgba[u, :3]] * m for u, m in parts) / n if n else None
             out[t, :3] = encode_srgb(mean) if full and n else rgba[t, :3]  # type: ignore[operator]
-            out[t, 3] = 4 * (int(rgba[t, 3]) - 1) + (4 if full else quarters)
+            (i, j), others = place, [at[m] for m in range(len(at)) if m != k]
+            around = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+            both_end = any(len(bits(o[p])) < 16 for o in others for p in around if p in o)
+            out[t, 3] = 4 * (int(rgba[t, 3]) - 1) + (4 if full or both_end else quarters)
     return out

@@ -10,8 +10,11 @@ Method   `sample`: 4 x 4 points a texel. At each the nearest piece of the layer 
          set there, too), the texel is drawn in full, lest a gap opens between the two when the eye moves; points that
          its own layer leaves empty then take the colour seen there in those layers, the nearer ones first. Where a
          surface ends, the texel is drawn to the share of its points that are covered, in quarters.
-Errs     Towards covering: never less than a quarter, in full where layers adjoin or another object's surface does
-         (`beside`), for what lies side by side in different impostors must leave no seam.
+Ends     A share does not say which part of the texel is covered: two halves that complete each other are drawn on the
+         same samples. So where another surface of the cluster ends, too, in any layer (a wall in front of the crest of
+         a hill), in this texel or one around it, since layers shift against each other, both are drawn in full.
+Errs     Towards covering: never less than a quarter, in full where layers adjoin, where two surfaces end, or where
+         another object's surface is (`beside`), for what lies side by side in different impostors must leave no seam.
 Tried    FLIP over covered pixels on Telegraph Hill: docs/decisions/0012.
 """
 
@@ -165,6 +168,22 @@ def _find(slabs: Any, start: Any, k: int, i: int, j: int) -> int:
 
 
 @njit(cache=True)
+def _other_ends(slabs: Any, start: Any, rgba: Any, points: Any, k: int, i: int, j: int) -> bool:
+    """Return whether a surface of another layer ends in the texel (i, j) or one of the eight around it."""
+    for m in range(len(slabs.size)):
+        x, y = i - slabs.low[m, 0], j - slabs.low[m, 1]
+        wide, high = slabs.size[m, 0], slabs.size[m, 1]
+        if m == k or x < -1 or y < -1 or x > wide or y > high:
+            continue
+        for b in range(max(y - 1, 0), min(y + 2, high)):
+            for a in range(max(x - 1, 0), min(x + 2, wide)):
+                u = start[m] + b * wide + a
+                if rgba[u, 3] != 0 and np.int64(points[u]) != FULL:
+                    return True
+    return False
+
+
+@njit(cache=True)
 def _compose(slabs: Any, start: Any, beside: Any, rgba: Any, points: Any, decode: Any, thresholds: Any,
              out: Any) -> None:  # fmt: skip
     total = np.empty(3)
@@ -197,6 +216,8 @@ def _compose(slabs: Any, start: Any, beside: Any, rgba: Any, points: Any, decode
                 for a in range(3):
                     out[t, a] = encode(thresholds, total[a] / n) if joined and n > 0 else rgba[t, a]
                 quarters = 4 if joined else min(max((_ones(own) + 2) // 4, 1), 4)
+                if quarters < 4 and _other_ends(slabs, start, rgba, points, k, i, j):
+                    quarters = 4
                 out[t, 3] = 4 * (rgba[t, 3] - 1) + quarters
 
 

@@ -181,3 +181,32 @@ def test_a_surface_that_goes_on_in_the_next_layer_is_drawn_in_full():
         assert (grids[k][both] == 1).all()
         assert (grids[k + 1][both] == 1).all()
     assert shared > 100
+
+
+def test_surfaces_that_end_in_front_of_each_other_in_distant_layers_let_nothing_through():
+    """A floating wall whose lower edge crosses the upper edge of a bank 20 m behind it: from the eye they overlap or
+    meet, though nothing adjoins. Their shares know no place in the texel, so texels where both end are drawn in full."""
+    wall = Panel(low=(-6, 2.0, -26), u=(12, 0, 0), v=(0, 3, 0))
+    edge = [(2.0 + 0.3 * side - 2) * 46 / 26 + 2 for side in (-1, 1)]  # as high as the wall's from about the eye
+    bank = Panel(low=(-12, edge[0] - 4, -46), u=(24, edge[1] - edge[0], 0), v=(0, 4, 0))
+    _, surface, _, _, slabs, start, rgba, points, beside = steps(panel_scene([wall, bank]))
+    assert not beside.any()
+    texels = compose(slabs, surface, start, rgba, points, beside)
+    held = [k for k in range(len(slabs.size)) if slabs.size[k, 0]]
+    assert len(held) == 2
+    assert held[1] - held[0] > 1, "the layers do not adjoin"
+    size = (slabs.low[held] + slabs.size[held]).max(0)
+    ends, share = (np.zeros((2, *size[::-1]), t) for t in (bool, int))
+    for n, k in enumerate(held):
+        (x, y), (w, h) = slabs.low[k], slabs.size[k]
+        part = slice(start[k], start[k] + w * h)
+        there = texels[part, 3] > 0
+        ends[n, y : y + h, x : x + w] = (there & (points[part] != 0xFFFF)).reshape(h, w)
+        share[n, y : y + h, x : x + w] = np.where(there, (texels[part, 3].astype(int) - 1) % 4 + 1, 0).reshape(h, w)
+    both = ends.all(0)
+    assert both.sum() > 5
+    assert (share[:, both] == 4).all()
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(ends, ((0, 0), (1, 1), (1, 1))), (3, 3), (1, 2)).any((3, 4))
+    for n in range(2):
+        assert (share[n][ends[n] & near[1 - n]] == 4).all(), "layers shift by less than a texel against each other"
+        assert (share[n][ends[n] & ~near[1 - n]] < 4).any(), "a silhouette before nothing keeps its share"
