@@ -447,7 +447,9 @@ class OverMemory(FarfieldError):
 
     def __init__(self, need_bytes: int, memory_bytes: int) -> None:
         need, there = need_bytes / 2**30, memory_bytes / 2**30
-        super().__init__(f"it may need up to {need:.1f} GiB of memory; a worker's machine has {there:.1f} GiB for shards")
+        super().__init__(
+            f"it may need up to {need:.1f} GiB of memory; a worker's machine has {there:.1f} GiB for shards"
+        )
 
 
 class FailedElsewhere(FarfieldError):
