@@ -77,6 +77,18 @@ def test_a_driver_that_crashes_once_changes_no_texel(gl: Any, monkeypatch: pytes
     assert crashes
 
 
+def test_sheets_that_grow_keep_the_child(gl: Any):
+    """A framebuffer that goes while it is bound leaves an error behind: each larger sheet once cost a process."""
+    recorder = RecorderApart()
+    recorder.begin(64, 32)
+    recorder.end()
+    first = child()._process
+    for width, height in ((64, 64), (200, 80), (16, 16), (512, 300)):
+        recorder.begin(width, height)
+        assert recorder.end().shape == (height, width)
+    assert child()._process is first
+
+
 def test_a_driver_that_always_crashes_fails_the_shard_alone(gl: Any, monkeypatch: pytest.MonkeyPatch):
     sound = pack_dataclass(baked())
     with monkeypatch.context() as patch:

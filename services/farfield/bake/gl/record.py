@@ -114,12 +114,14 @@ class Recorder:
     def _reserve(self, width: int, height: int) -> None:
         size = (max(width, self._size[0]), max(height, self._size[1]))
         if size != self._size:
-            if self._target is not None:
-                for part in (*self._target.color_attachments, self._target.depth_attachment, self._target):
-                    part.release()
-            self._target = self._ctx.framebuffer(
-                [self._ctx.texture(size, 1, dtype="u4")], self._ctx.depth_renderbuffer(size)
+            old, self._target = (
+                self._target,
+                self._ctx.framebuffer([self._ctx.texture(size, 1, dtype="u4")], self._ctx.depth_renderbuffer(size)),
             )
+            self._target.use()  # before the old one goes: while one that is gone is bound, calls fail
+            if old is not None:
+                for part in (*old.color_attachments, old.depth_attachment, old):
+                    part.release()
             self._size = size
 
 
