@@ -558,7 +558,7 @@ STEPS: dict[Stage, Step] = {
              version=4, queue=Queue.OPTIMIZER, inputs=(_H, _R, _S, _VIEW, _C, _P, _B), plan=_one,
              run=_repair, reads=("placement",)),
         Step(stage=Stage.BOUND, need=Need(base_mib=1200),
-             version=3, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
+             version=4, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=_bound_skip, plan=_one,
              run=_bound, merge=_bound_merge, reads=("placement.bound",), asks=("placement.candidates",)),
         Step(stage=Stage.PLACEMENTDB, need=Need(base_mib=1300),
              version=5, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),

@@ -10,8 +10,7 @@ Method   Lagrangian duality. Price each view's need: price[v] >= 0 a unit of cos
          For given shares each view's best price is found exactly (`bound_kernels.pay`), and with it how much of each offer
          the view would take. Shares follow by multiplicative weights in ever smaller steps: an offer gets dearer in views
          that take it and cheaper in the candidate's other views. Small problems take prices and shares from the
-         linear programme instead, whose dual this is (`bound_lp`). Of large ones only candidates that earn about their
-         bytes are looked at; those that earn as much at the prices found join, round after round.
+         linear programme instead, whose dual this is (`bound_lp`); for a whole city there is `bound_many`.
          In the end prices are made integers of 2**-shift byte and shares are rounded down, and the bound is computed
          over all candidates: proven, not approximate, wherever the prices came from.
 Tried    Towns of 400 houses at 100 calls, generated candidates; MB. 1000 passes take 3 s and 15 s, the programme 22 s:
@@ -38,6 +37,7 @@ from farfield.placement import bound_kernels as kernels
 from farfield.placement.antichain import Offers, subtree_end
 from farfield.placement.bound_kernels import Offered, Tree
 from farfield.placement.bound_lp import FEW_ENTRIES, MOST_ENTRIES, dual_prices
+from farfield.placement.bound_many import lower_bound
 from farfield.placement.model import Bound, Placement
 from farfield.placement.repair import offers_in_cell
 from farfield.placement.tighten import Impostors
@@ -45,8 +45,7 @@ from farfield.viewspace.model import ProblemViews
 
 FIRST_STEP, LAST_STEP, MOMENTUM = 20.0, 0.1, 0.5
 WORK, LEAST_PASSES, MOST_PASSES = 300_000_000, 100, 600  # entries looked at in all: some 50 ns each
-CORE_ENTRIES, ROUNDS = 4_000_000, 2  # where there are more, so many at most are looked at, in so many rounds
-CORE_EARNS = 0.5  # of its bytes, for a candidate to be looked at
+MANY_ENTRIES = 6_000_000  # beyond that, `bound_many`
 BITS = 60  # prices are scaled so that all needs together cost less than 2**BITS
 
 
@@ -72,7 +71,7 @@ def lower_bound_bytes(
     need               (V,) i64 cost of each view minus its target
     end                (C,) i32, see `antichain.subtree_end`
     method             "lp", "lagrangian", or "auto": see `uses_lp`
-    passes             of the Lagrangian in each round; default: by the number of entries
+    passes             of the Lagrangian; default: by the number of entries
     """
     return _prove(candidates, impostors, offers, need=need, end=end, method=method, passes=passes)[0]
 
@@ -99,6 +98,8 @@ def _prove(
         if duals is not None:
             return _proven(c, *duals), True
     price = first_prices(*lists[1], impostors.bytes, c.need) / np.maximum(c.need, 1)
+    if n_entries > MANY_ENTRIES:
+        return lower_bound(lists, c.cluster, c.bytes, c.need, end, price), False
     part = np.zeros(n_entries, np.float32)
     _climb(c, price, part, passes)
     return _proven(c, price, part), False
@@ -106,36 +107,13 @@ def _prove(
 
 def _climb(c: _Choices, price: np.ndarray, part: np.ndarray, passes: int | None) -> None:
     """Raise what views pay: write to price (V,) f64, bytes for a unit of need, and part (E,) f32 of a candidate's bytes."""
-    core = np.zeros(len(c.cluster), dtype=bool)
-    core[c.ids[1]] = True  # what was placed meets every need
-    rounds = 1 if len(part) <= CORE_ENTRIES else ROUNDS
-    for round in range(rounds):
-        earned = np.concatenate([kernels.earned_by(*one, price, c.need) for one in c.lists])
-        new = _joining(c, core, earned) if rounds > 1 else np.ones_like(core)
-        for one, ids, entries in zip(c.lists, c.ids, c.entries, strict=True):
-            kernels.parts_as_earned(*one, price, c.need, earned[ids], new[ids], part[entries])
-        core |= new
-        _learn(c, np.flatnonzero(core), price, part, passes, first_step=FIRST_STEP if round == 0 else 1.0)
+    for one, entries in zip(c.lists, c.entries, strict=True):
+        kernels.parts_as_earned(*one, price, c.need, part[entries])
+    _learn(c, price, part, passes)
 
 
-def _joining(c: _Choices, core: np.ndarray, earned: np.ndarray) -> np.ndarray:
-    """Return (N,) b1: who joins the core, those first that earn most of their bytes, up to CORE_ENTRIES with it."""
-    if core[c.ids[0]].any():
-        new = ~core & (earned >= CORE_EARNS * c.bytes)
-    else:
-        new = core | (earned >= CORE_EARNS * c.bytes)
-    count = np.concatenate([np.diff(row) for row, _, _ in c.lists])
-    order = np.flatnonzero(new)
-    order = order[np.argsort(-(earned[order] / np.maximum(c.bytes[order], 1)) - 1e300 * core[order], kind="stable")]
-    fits = np.cumsum(count[order]) <= CORE_ENTRIES - (count[core & ~new]).sum()
-    new[order[~fits & ~core[order]]] = False
-    return new
-
-
-def _learn(
-    c: _Choices, core: np.ndarray, price: np.ndarray, part: np.ndarray, passes: int | None, *, first_step: float
-) -> None:
-    order = core[np.argsort(c.cluster[core], kind="stable")]
+def _learn(c: _Choices, price: np.ndarray, part: np.ndarray, passes: int | None) -> None:
+    order = np.argsort(c.cluster, kind="stable")
     offered = Offered(*kernels.offers_of_two(order, *c.lists[0], *c.lists[1], c.need))
     parts = part[offered.entry].astype(np.float64)
     served = np.bincount(offered.id, minlength=len(c.cluster))
@@ -147,7 +125,7 @@ def _learn(
     )  # fmt: skip
     n = passes or int(np.clip(WORK // max(1, len(parts)), LEAST_PASSES, MOST_PASSES))
     pull, momentum = np.zeros(len(parts)), 0.0
-    for step in np.geomspace(first_step, LAST_STEP, n):
+    for step in np.geomspace(FIRST_STEP, LAST_STEP, n):
         kernels.pay(offered, c.cluster, c.end, c.bytes, c.need, price, parts, pull, momentum, tree)
         kernels.learn(offered.id, parts, pull, step, least, total)
         momentum = MOMENTUM

@@ -67,22 +67,14 @@ def offers_of_two(order, row_a, view_a, saved_a, row_b, view_b, saved_b, need):
 
 
 @njit(cache=True)
-def earned_by(row, view, saved, price, need):
-    """Return (N,) f64: what each earns at prices (V,) f64 of a unit of need."""
-    earned = np.zeros(len(row) - 1)
-    for i in range(len(earned)):
-        for e in range(row[i], row[i + 1]):
-            earned[i] += price[view[e]] * min(saved[e], need[view[e]])
-    return earned
-
-
-@njit(cache=True)
-def parts_as_earned(row, view, saved, price, need, earned, which, part):
-    """Set part (E,) f32 of those at `which` (N,) b1 to what each entry earns of the whole."""
+def parts_as_earned(row, view, saved, price, need, part):
+    """Set part (E,) f32 to what each entry earns at prices (V,) f64 of a unit of need, of all that its candidate earns."""
     for i in range(len(row) - 1):
-        if which[i]:
-            for e in range(row[i], row[i + 1]):
-                part[e] = price[view[e]] * min(saved[e], need[view[e]]) / max(earned[i], 1e-300)
+        earned = 0.0
+        for e in range(row[i], row[i + 1]):
+            earned += price[view[e]] * min(saved[e], need[view[e]])
+        for e in range(row[i], row[i + 1]):
+            part[e] = price[view[e]] * min(saved[e], need[view[e]]) / max(earned, 1e-300)
 
 
 @njit(cache=True)

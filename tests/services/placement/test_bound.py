@@ -38,8 +38,11 @@ def problems():
     return made
 
 
-@pytest.mark.parametrize(("method", "share"), [("lagrangian", 0.83), ("lp", 0.9)])
-def test_no_set_of_candidates_weighs_less_than_the_bound_nor_much_more(problems, method, share):
+@pytest.mark.parametrize(
+    ("method", "many", "share"), [("lagrangian", 0, 0.83), ("lp", 10**9, 0.9), ("lagrangian", 10**9, 0.87)]
+)
+def test_no_set_of_candidates_weighs_less_than_the_bound_nor_much_more(problems, method, many, share, monkeypatch):
+    monkeypatch.setattr(bound, "MANY_ENTRIES", many)  # 0: as for a whole city
     total_bound, total_lightest = 0, 0
     for seed, (x, chosen, need, end, lightest, bytes) in zip(SEEDS, problems, strict=True):
         low = lower_bound_bytes(x.candidates, *chosen, need=need, end=end, method=method)
