@@ -10,8 +10,11 @@ from cutout import ROOT, city_cutout
 from farfield.scene.read import read_scene
 from farfield.scene.write import write_glb
 from farfield.settings import from_mapping, to_mapping
+from farfield.stability.level import street
+from farfield.stability.relations import differences, served
+from farfield.stability.run import run
 from farfield.stages import Stage
-from relations import differences, edited, houses, run, served, shuffled_nodes
+from relations import edited, shuffled_nodes
 
 SCENES = Path(os.environ.get("FARFIELD_SCENES", ROOT.parent / "shared" / "scenes"))
 STAGES = (Stage.RENDERTIME, Stage.HIERARCHY, Stage.VISIBILITY, Stage.VIEWSPACE, Stage.CANDIDATES, Stage.PLACEMENT)
@@ -89,13 +92,13 @@ def test_a_larger_budget_has_no_more_problem_views_and_no_more_hopeless_ones(pla
 
 @pytest.mark.parametrize("mode", ["sampled", "conservative"])
 def test_what_cells_can_see_keeps_the_relations(tmp_path, mode):
-    level = houses(120, seed=2)
+    level = street(120, seed=2)
     wish = {"budget": "34 calls", "visibility__mode": mode, "visibility__rays": 20_000}
     plain = run(level.write(tmp_path / "a.glb"), level.settings(**wish))
     hidden = np.diff(plain.get(Stage.VISIBILITY).row)
     assert (hidden < 120).all() and (hidden > 10).all()
     shuffled = run(replace(level, order=range(119, -1, -1)).write(tmp_path / "b.glb"), level.settings(**wish))
     assert shuffled.artifacts == plain.artifacts
-    scaled = run(tmp_path / "a.glb", level.settings(2.0**5, **wish))
+    scaled = run(tmp_path / "a.glb", replace(level, unit_m=2.0**5).settings(**wish))
     for stage in STAGES:
         assert differences(plain.get(stage), scaled.get(stage), length_factor=2.0**5) == []

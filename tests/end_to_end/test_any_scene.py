@@ -5,9 +5,10 @@ import pytest
 from farfield.scene.read import inspect_scene, read_scene
 from farfield.scene.write import write_glb
 from farfield.settings import from_mapping
+from farfield.stability.run import run
 from farfield.stages import Stage
 from levels import BOX_CORNERS, BOX_FACES, Gltf
-from relations import edited, run
+from relations import edited
 
 QUICK = {"camera": {"width": 320, "height": 180}, "visibility": {"mode": "off"}, "view_space": {"interval_deg": 22.5}}
 

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from farfield.stability.level import street
+from farfield.stability.relations import differences, served
+from farfield.stability.run import run
 from farfield.stages import Stage
-from relations import differences, houses, run, served
 
 BUDGETS = ["34 calls", "1100 triangles", "1.4 ms"]
 STAGES = (Stage.RENDERTIME, Stage.HIERARCHY, Stage.VIEWSPACE, Stage.CANDIDATES, Stage.PLACEMENT)
@@ -13,16 +15,7 @@ STAGES = (Stage.RENDERTIME, Stage.HIERARCHY, Stage.VIEWSPACE, Stage.CANDIDATES, 
 
 @pytest.fixture(scope="module")
 def level():
-    return houses()
-
-
-def mirrored(level, axis):
-    flip = np.ones(3)
-    flip[axis] = -1
-    view = np.sort(np.array(level.view) * flip, axis=0)
-    return replace(
-        level, box=np.sort(level.box * flip, axis=1), view=(tuple(view[0].tolist()), tuple(view[1].tolist()))
-    )
+    return street(70)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +37,7 @@ def test_there_is_something_to_place(plain):
 @pytest.mark.parametrize("scale", [2.0**-10, 2.0**7])
 def test_scaling_by_a_power_of_two_scales_the_placement_bit_for_bit(level, plain, tmp_path, budget, scale):
     path = level.write(tmp_path / "scene.glb")
-    scaled = run(path, level.settings(scale, budget=budget))
+    scaled = run(path, replace(level, unit_m=scale).settings(budget=budget))
     for stage in STAGES:
         assert differences(plain[budget].get(stage), scaled.get(stage), length_factor=scale) == []
     one, other = (r.get(Stage.PLACEMENT) for r in (plain[budget], scaled))
@@ -71,7 +64,7 @@ def test_mirroring_mirrors_the_placement(level, tmp_path, budget, axis):
     """Where candidates are cut into shards shapes which of them are kept, and no cut is its own mirror image: one shard."""
     one, other = (
         run(h.write(tmp_path / f"{i}.glb"), h.settings(budget=budget), one_shard=True)
-        for i, h in enumerate((level, mirrored(level, axis)))
+        for i, h in enumerate((level, level.mirrored(axis)))
     )
     assert sorted(one.get(Stage.VIEWSPACE).cost.tolist()) == sorted(other.get(Stage.VIEWSPACE).cost.tolist())
     assert served(one) == served(other)
@@ -116,7 +109,7 @@ def test_a_larger_budget_has_no_more_problem_views(level, tmp_path, unit):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_more_candidates_never_spoil_a_placement(tmp_path, seed):
-    level = houses(60, seed=10 + seed)
+    level = street(60, seed=10 + seed)
     path = level.write(tmp_path / "scene.glb")
     best = {}
     for kinds in ("shafts", "boxes", "shafts+boxes"):

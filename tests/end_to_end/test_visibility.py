@@ -7,9 +7,9 @@ import pytest
 from farfield.executor import Executor
 from farfield.placementdb.read import Placement
 from farfield.settings import from_mapping
+from farfield.stability.level import street
+from farfield.stability.run import run as stages
 from farfield.stages import Stage
-from relations import houses
-from relations import run as stages
 
 SETTINGS = """budget = "24 calls"
 [camera]
@@ -30,7 +30,7 @@ rays = 5000
 def placed(run, tmp_path_factory):
     """The folder of a job run by two workers, and its report."""
     folder = tmp_path_factory.mktemp("seen")
-    level = houses(70, far_m=60.0)
+    level = street(70, far=60.0)
     level.box[0] = [[-100.0, -1.0, -100.0], [100.0, 0.0, 100.0]]
     scene = level.write(folder / "houses.glb")
     (folder / "seen.toml").write_text(SETTINGS)
@@ -84,10 +84,10 @@ def test_auto_says_why_it_skips_and_asks_again_for_another_level(tmp_path):
         "view_space": {"cell_m": 8.0, "boxes": [[[-24.0, 1.0, -4.0], [-8.0, 2.0, 4.0]]]},
         "visibility": {"rays": 1000},
     }
-    level = houses(12, far_m=160.0)
+    level = street(12, far=160.0)
     found = stages(level.write(tmp_path / "open.glb"), from_mapping(wish), until=Stage.VISIBILITY)
     visible = found.get(Stage.VISIBILITY)
-    walled = houses(70, far_m=160.0)
+    walled = street(70, far=160.0)
     walled.box[0] = [[-2.0, 0.0, -60.0], [0.0, 50.0, 60.0]]
     hidden = stages(walled.write(tmp_path / "wall.glb"), from_mapping(wish), until=Stage.VISIBILITY).get(
         Stage.VISIBILITY

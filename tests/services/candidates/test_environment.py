@@ -21,11 +21,11 @@ from farfield.placement.repair import verdict
 from farfield.placementdb.read import Placement
 from farfield.rendertime.cost import build_cost_model
 from farfield.settings import Settings, from_mapping
+from farfield.stability.run import run
 from farfield.stages import Stage
 from farfield.viewspace.split import find_problem_views
 from farfield.visibility.model import VisibleSets
 from naive import environment as naive
-from relations import run
 from rooms import blocks, room_settings, write_room
 from towns import town
 
