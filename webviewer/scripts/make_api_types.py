@@ -1,8 +1,8 @@
-"""Write src/api/schema.ts: the API's request types in TypeScript, from its OpenAPI document.
+"""Write src/api/schema.ts: the types of the API's requests and answers in TypeScript, from its OpenAPI document.
 
 Use      python webviewer/scripts/make_api_types.py            (tests/api/test_types.py fails where the file is stale)
-What the API answers is typed by hand in src/api/types.ts, because routes answer plain dicts; the same test holds those
-types against real answers.
+What that document leaves open or out is typed by hand in src/api/types.ts; the same test holds those types against
+real answers.
 """
 
 import json

@@ -127,7 +127,7 @@ export class EventStream {
       for (const frame of parser.push(value)) {
         const { at, ...data } = JSON.parse(frame.data) as EventData & { at: string };
         this.last = Number(frame.id);
-        this.listener.event({ seq: this.last, kind: frame.event, data, at });
+        this.listener.event({ seq: this.last, kind: frame.event as JobEvent["kind"], data, at });
       }
     }
   }

@@ -66,16 +66,16 @@ interface Told {
 function verdictOf(job: JobDetail, report: Report | null): Told {
   const b = (text: string): HTMLElement => h("b", null, text);
   if (job.state === "failed") {
-    const error = job.error ?? {};
-    const where = error.stage ? `${error.stage} failed` : "failed";
-    return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(sentences(error.message ?? "The job failed")), " ", sentences(error.advice, "What was computed before is kept")] };
+    const { error } = job;
+    const where = error?.stage ? `${error.stage} failed` : "failed";
+    return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(sentences(error?.message ?? "The job failed")), " ", sentences(error?.advice, "What was computed before is kept")] };
   }
   if (job.state === "cancelled") return { kind: "", mark: () => stateMark("idle", "cancel", "Cancelled"), text: () => ["What was computed is kept: “Go on” continues from there."] };
   if (job.verdict === null) {
     const text = job.state === "queued" ? "The job waits for a worker." : "Whether every view can meet the budget is known once the placement has been evaluated.";
     return { kind: "", mark: () => stateMark("idle", "queue", "Verdict open"), text: () => [text] };
   }
-  const budget = job.budget;
+  const budget = job.budget ?? "the budget";
   const kind = { valid: "ok", infeasible: "inf", unproven: "" }[job.verdict];
   return { kind, mark: () => verdictMark(job.verdict!), text: () => {
     if (!report) return [];

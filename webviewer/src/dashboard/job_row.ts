@@ -28,7 +28,7 @@ export function fillRow(row: HTMLTableRowElement, data: RowData, histories: read
   refill(scene, job.name + job.id, () => [
     h("div", { class: "scene" }, h("a", { href: job.links.page, title: job.name }, job.name), h("br"), h("small", { class: "mono q" }, shortDigest(job.scene))),
   ]);
-  refill(budget, job.budget, () => [h("span", { class: "nw" }, job.budget)]);
+  refill(budget, job.budget ?? "", () => [h("span", { class: "nw" }, job.budget)]);
   const found = active && detail ? estimate(detail.stages, histories) : null;
   refill(progress, JSON.stringify([job.state, job.progress, job.stage, job.finished_at, found]), () => progressOf(job, found, ratchet));
   refill(verdict, JSON.stringify([job.state, job.verdict]), () => verdictOf(job));
