@@ -110,7 +110,6 @@ export function listJobs(query: { state?: JobState; cursor?: string; limit?: num
 export const readJob = (id: string): Promise<JobDetail> => json("GET /v1/jobs/{job_id}", { path: { job_id: id } });
 export const cancelJob = (id: string): Promise<JobDetail> => json("POST /v1/jobs/{job_id}/cancel", { path: { job_id: id } });
 export const retryJob = (id: string): Promise<JobDetail> => json("POST /v1/jobs/{job_id}/retry", { path: { job_id: id } });
-export const deleteJob = (id: string): Promise<void> => json("DELETE /v1/jobs/{job_id}", { path: { job_id: id } });
 export const readShards = (id: string, stage: string): Promise<ShardPage> =>
   json("GET /v1/jobs/{job_id}/stages/{stage}/shards", { path: { job_id: id, stage } });
 export const readEvents = (id: string, after: number, limit: number): Promise<EventPage> =>
