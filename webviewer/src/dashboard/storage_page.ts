@@ -8,7 +8,7 @@ import { main, openPage } from "./frame";
 import { plural } from "./format";
 import { follow, forbidden } from "./gentle";
 import { progressBar } from "./job_row";
-import { csvButton } from "./report_parts";
+import { csvButton, part } from "./report_parts";
 
 const EVERY_MS = 30_000;
 const WORDS: Record<string, [name: string, hint: string]> = {
@@ -31,7 +31,7 @@ await follow(body, says, { ask: readStorage, show, everyMs: EVERY_MS, failure: "
 function usagePanel(told: UsageReply): HTMLElement {
   const { quota } = told;
   const bars = [against("Bytes", told.bytes, quota.max_bytes, bytes), against("Jobs", told.jobs, quota.max_jobs, count), against("Jobs queued or running", told.running, quota.max_running, count)];
-  return panel("uh", "Yours", "what you may have is the operator's to set", null, h("div", { class: "quotas" }, ...bars));
+  return part("uh", "Yours", "what you may have is the operator's to set", null, h("div", { class: "quotas" }, ...bars));
 }
 
 /** A figure and its limit, as a bar where there is one. */
@@ -41,13 +41,9 @@ function against(name: string, used: number, limit: number | null, text: (n: num
     limit === null ? null : progressBar(used >= limit ? "full" : "", share, [], `${name}: ${text(used)} of ${text(limit)}`));
 }
 
-function panel(id: string, title: string, hint: string, button: HTMLElement | null, ...content: Node[]): HTMLElement {
-  return h("section", { class: "panel report-part", "aria-labelledby": id }, h("header", null, h("h2", { id }, title), h("span", { class: "small q" }, hint), h("div", { class: "end" }, button)), ...content);
-}
-
 function show(told: Storage): void {
   if (!told.total.artifacts) {
-    body.replaceChildren(panel("kh", "Nothing is stored yet", "", null, h("p", { class: "q2" }, "The first level that is sent makes the first artifact: ", h("a", { href: "/jobs" }, "start a job"), ".")));
+    body.replaceChildren(part("kh", "Nothing is stored yet", "", null, h("p", { class: "q2" }, "The first level that is sent makes the first artifact: ", h("a", { href: "/jobs" }, "start a job"), ".")));
     return;
   }
   const kinds = Object.entries(told.kinds).sort(([, a], [, b]) => b.bytes - a.bytes);
@@ -65,7 +61,7 @@ function show(told: Storage): void {
       h("td", { class: "r nw" }, t.max_bytes === null ? h("span", { class: "q" }, "as the service says") : bytes(t.max_bytes))))));
   const loose = told.kinds["unreferenced"];
   body.replaceChildren(
-    panel("kh", "By kind", `${bytes(told.total.bytes)} in ${plural(told.total.artifacts, "artifact")}`, csvButton("storage", ["kind", "artifacts", "bytes"], () => kinds.map(([kind, k]) => [kind, k.artifacts, k.bytes])), scroller(kindsTable),
+    part("kh", "By kind", `${bytes(told.total.bytes)} in ${plural(told.total.artifacts, "artifact")}`, csvButton("storage", ["kind", "artifacts", "bytes"], () => kinds.map(([kind, k]) => [kind, k.artifacts, k.bytes])), scroller(kindsTable),
       h("p", { class: "small q2" }, loose?.bytes ? `${bytes(loose.bytes)} can go: the reconciler collects them by itself, “farfield gc” does it now.` : "Nothing is kept that is not needed.")),
-    panel("th", "Tenants", plural(told.tenants.length, "tenant"), csvButton("tenants", ["tenant", "name", "scenes", "scene_bytes", "jobs", "max_bytes"], () => told.tenants.map((t) => [t.tenant, t.name, t.scenes, t.scene_bytes, t.jobs, t.max_bytes])), scroller(tenants)));
+    part("th", "Tenants", plural(told.tenants.length, "tenant"), csvButton("tenants", ["tenant", "name", "scenes", "scene_bytes", "jobs", "max_bytes"], () => told.tenants.map((t) => [t.tenant, t.name, t.scenes, t.scene_bytes, t.jobs, t.max_bytes])), scroller(tenants)));
 }
