@@ -1,10 +1,11 @@
 import { describe, expect, it } from "vitest";
 import type { JobEvent, StageRow } from "../api/types";
+import { bearing } from "../ui/format";
 import { readView, viewAddress } from "../ui/view_link";
 import { BREAKS, classOf } from "./cell_classes";
-import { csv } from "./csv";
+import { csv } from "../ui/csv";
 import { estimate, Ratchet } from "./estimate";
-import { ago, bearing, duration, metres, parseBudget, sentences, shortDigest, timeRange } from "./format";
+import { ago, duration, metres, parseBudget, sentences, shortDigest, timeRange } from "./format";
 import { addHistory, apply, emptyState, lineOf, setShards, squares, type Shard } from "./job_state";
 import { DigitKeys } from "./digit_keys";
 import { boxesPath, pictureFrame, planeOf } from "./scene_plan";

@@ -54,12 +54,6 @@ export function plural(n: number, one: string, many = `${one}s`): string {
   return `${new Intl.NumberFormat("en").format(n)} ${n === 1 ? one : many}`;
 }
 
-/** Compass direction of a vector in the ground plane, degrees: 0 is -z (north on the map), 90 is +x. */
-export function bearing(direction: ArrayLike<number>): number {
-  const degrees = (Math.atan2(direction[0], -direction[2]) * 180) / Math.PI;
-  return (Math.round(degrees) + 360) % 360;
-}
-
 /** Joins what is there into sentences. */
 export function sentences(...parts: (string | null | undefined)[]): string {
   return parts.filter(Boolean).map((p) => (/[.!?…]$/.test(p!) ? p! : `${p!}.`)).join(" ");

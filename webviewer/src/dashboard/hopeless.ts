@@ -1,9 +1,9 @@
 /** Hopeless views with the objects to blame: by view, or by object; each view opens in the viewer. */
-import { cost as costText, count } from "../ui/format";
+import { bearing, cost as costText, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
-import { csv, download } from "./csv";
+import { csv, download } from "../ui/csv";
 import { h, s, scroller } from "./element";
-import { bearing, plural } from "./format";
+import { plural } from "./format";
 import type { Culprit, HopelessView, Report } from "./report_types";
 
 const SHOWN = 20;

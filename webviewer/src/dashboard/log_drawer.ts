@@ -1,5 +1,5 @@
 /** What happened, line by line: the last one always in sight, the rest in a drawer that follows until it is scrolled. */
-import { download } from "./csv";
+import { download } from "../ui/csv";
 import { h, refill } from "./element";
 import { clock } from "./format";
 import type { JobState, Level, LogLine } from "./job_state";

@@ -12,7 +12,7 @@ import { proofPanel } from "./proof";
 import type { Report } from "./report_types";
 import { count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
-import { download } from "./csv";
+import { download } from "../ui/csv";
 import { readMap, ViewMap } from "./view_map";
 
 const [kind, item] = location.pathname.split("/").filter(Boolean).map(decodeURIComponent);

@@ -1,9 +1,9 @@
 /** The parts of a report; each is left out where the report has nothing for it. */
-import { bytes, cost as costText, count } from "../ui/format";
+import { bearing, bytes, cost as costText, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
-import { csv, download, type Cell } from "./csv";
+import { csv, download, type Cell } from "../ui/csv";
 import { h, s, scroller } from "./element";
-import { bearing, duration, plural } from "./format";
+import { duration, plural } from "./format";
 import { compass } from "./hopeless";
 import { icon, verdictMark } from "./icons";
 import type { Report } from "./report_types";

@@ -30,3 +30,9 @@ export function tick(n: number): string {
   if (n >= 1e4) return `${Math.round(n / 1e3)}k`;
   return n < 10 && n % 1 ? n.toFixed(1) : count(n);
 }
+
+/** Compass direction of a vector in the ground plane, degrees: 0 is -z (north on the map), 90 is +x. */
+export function bearing(direction: ArrayLike<number>): number {
+  const degrees = (Math.atan2(direction[0], -direction[2]) * 180) / Math.PI;
+  return (Math.round(degrees) + 360) % 360;
+}

@@ -3,6 +3,7 @@
  * however long a frame takes: the same link shows the same frames everywhere.
  */
 import type { Manifest, Vec3 } from "../placementdb/manifest";
+import { download } from "../ui/csv";
 import { byId, setShown, setText } from "../ui/dom";
 import { count } from "../ui/format";
 import { BROKEN, HOPELESS, STREAMING, UNPROMISED, WalkLog, walkCsv, walkPlot, type FrameFacts } from "../walk/log";
@@ -159,11 +160,7 @@ export class Walks {
     if (!log) return;
     const title = `${this.name}: ${summary(log)}`;
     const text = kind === "csv" ? this.csv() : walkPlot(log, STEP_MS, title, this.manifest.budget);
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([text], { type: kind === "csv" ? "text/csv" : "image/svg+xml" }));
-    link.download = `walk-${this.name.replace(/[^\w-]+/g, "-")}.${kind}`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    download(`walk-${this.name.replace(/[^\w-]+/g, "-")}.${kind}`, text, kind === "csv" ? "text/csv" : "image/svg+xml");
   }
 }
 

@@ -1,7 +1,7 @@
 /** The certificate's worst views as bookmarks: the report's list, one key or click each. A placement without a report has none. */
 import type { Manifest, Vec3 } from "../placementdb/manifest";
 import { byId, setShown } from "../ui/dom";
-import { count } from "../ui/format";
+import { bearing, count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
 
 export interface WorstView {
@@ -70,7 +70,7 @@ export class WorstViews {
       if (name) element.className = name;
       return element;
     };
-    const degrees = Math.round((Math.atan2(view.direction[0], -view.direction[2]) * 180) / Math.PI + 360) % 360;
+    const degrees = bearing(view.direction);
     const told = unit === "ns" ? (view.cost / 1e6).toFixed(2) : count(view.cost);
     const link = document.createElement("a");
     link.href = viewAddress(this.id, view.position, view.direction);

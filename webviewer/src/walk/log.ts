@@ -1,5 +1,6 @@
 /** What the frames of a replay were: columns that are filled in place, their sums, as CSV and as a plot. */
 import type { CostUnit } from "../placementdb/manifest";
+import { csv } from "../ui/csv";
 
 export const WITHIN = 0;
 export const STREAMING = 1; // over budget because something was not resident
@@ -74,21 +75,19 @@ export class WalkLog {
   }
 }
 
-const EOL = "\r\n";
+const CSV_HEADER = [
+  "frame", "walk_ms", "time_ms", "calls", "triangles", "impostors", "impostors_waiting", "cost", "geometry_cost", "cell", "problem_view", "over_budget",
+];
 
-/** RFC 4180: one line a frame. */
+/** One line a frame. */
 export function walkCsv(log: WalkLog, stepMs: number): string {
   const { columns: c } = log;
-  const lines = ["frame,walk_ms,time_ms,calls,triangles,impostors,impostors_waiting,cost,geometry_cost,cell,problem_view,over_budget"];
-  for (let k = 0; k < log.count; k++) {
-    const ms = Number.isFinite(log.ms[k]) ? log.ms[k].toFixed(3) : "";
-    const id = (n: number): string => (n < 0 ? "" : String(n));
-    lines.push(
-      [k, (k * stepMs).toFixed(3), ms, c.calls[k], c.triangles[k], c.impostors[k], c.waiting[k], c.cost[k], c.geometryCost[k], id(c.cell[k]),
-        id(c.problemView[k]), REASONS[c.reason[k]]].join(","),
-    );
-  }
-  return lines.join(EOL) + EOL;
+  const id = (n: number): number | null => (n < 0 ? null : n);
+  const rows = Array.from({ length: log.count }, (_, k) => [
+    k, (k * stepMs).toFixed(3), Number.isFinite(log.ms[k]) ? log.ms[k].toFixed(3) : null, c.calls[k], c.triangles[k], c.impostors[k], c.waiting[k], c.cost[k],
+    c.geometryCost[k], id(c.cell[k]), id(c.problemView[k]), REASONS[c.reason[k]],
+  ]);
+  return csv(CSV_HEADER, rows);
 }
 
 const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [960, 340, 64, 880, 40, 300];
