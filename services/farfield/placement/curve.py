@@ -32,7 +32,6 @@ Fit = Callable[[Impostors, Offers, np.ndarray], tuple[Impostors, Offers]]
 PERCENT = (102, 105, 110, 115, 120, 130, 140, 150, 175, 200, 250, 300, 400, 500, 700, 1000)  # of the job's budget
 CHOSEN_ANEW = (105, 110, 120, 140, 175, 250)
 LARGE = 4_000_000  # entries of the pool, from which on only CHOSEN_ANEW are looked at, by the reverse delete alone
-LARGE = 4_000_000  # entries of the pool, from which on only CHOSEN_ANEW are looked at, by the reverse delete alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
