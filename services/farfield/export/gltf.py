@@ -25,11 +25,13 @@ from typing import IO, Any
 import numpy as np
 
 from farfield.errors import ExportTooLarge
-from farfield.export.pages import PNG, SUFFIX, WEBP, encode, masked
+from farfield.export.pages import masked
 from farfield.export.select import Selection, fresh, runs_of
+from farfield.placementdb.layout import SUFFIX
+from farfield.placementdb.pages import encode
 from farfield.placementdb.read import Impostor, Placement
 
-IMAGES = {"png": (PNG,), "webp": (WEBP,), "webp+png": (PNG, WEBP)}
+IMAGES = {"png": ("png",), "webp": ("webp",), "webp+png": ("png", "webp")}
 NEAREST, CLAMP, FLOAT, USHORT, UINT, VERTICES, INDICES = 9728, 33071, 5126, 5123, 5125, 34962, 34963
 MOST_GLB_BYTES = 2**32 - 1
 
@@ -226,7 +228,7 @@ def _pictures(
                 if embed:
                     _align(file, 4)
                     document["bufferViews"].append({"buffer": 0, "byteOffset": file.tell(), "byteLength": len(content)})
-                    image |= {"bufferView": len(document["bufferViews"]) - 1, "mimeType": kind}
+                    image |= {"bufferView": len(document["bufferViews"]) - 1, "mimeType": f"image/{kind}"}
                     file.write(content)
                 else:
                     name = f"{page:05}{SUFFIX[kind]}"
@@ -245,10 +247,10 @@ def _materials(document: dict[str, Any], pages: list[int], kinds: tuple[str, ...
     for k, page in enumerate(pages):
         source = {kind: len(kinds) * k + j for j, kind in enumerate(kinds)}
         texture: dict[str, Any] = {"sampler": 0, "name": f"page {page}"}
-        if PNG in source:
-            texture["source"] = source[PNG]
-        if WEBP in source:
-            texture["extensions"] = {"EXT_texture_webp": {"source": source[WEBP]}}
+        if "png" in source:
+            texture["source"] = source["png"]
+        if "webp" in source:
+            texture["extensions"] = {"EXT_texture_webp": {"source": source["webp"]}}
         document["textures"].append(texture)
         document["materials"].append({
             "name": f"page {page}", "alphaMode": "MASK", "alphaCutoff": 0.5,
@@ -257,9 +259,9 @@ def _materials(document: dict[str, Any], pages: list[int], kinds: tuple[str, ...
             },
             "extensions": {"KHR_materials_unlit": {}},
         })  # fmt: skip
-    if WEBP in kinds:
+    if "webp" in kinds:
         document["extensionsUsed"].append("EXT_texture_webp")
-        if PNG not in kinds:
+        if "png" not in kinds:
             document["extensionsRequired"] = ["EXT_texture_webp"]
 
 

@@ -6,15 +6,10 @@ Method   Level 0 of the page, colours as they are, bled ones under empty texels 
 Errs     Texels with a share below 1 are drawn in full: a silhouette grows by less than a texel, nothing opens.
 """
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from PIL import Image
-
-PNG, WEBP = "image/png", "image/webp"
-SUFFIX = {PNG: ".png", WEBP: ".webp"}
 
 
 def masked(image: np.ndarray, level: dict[str, Any], rects: Sequence[tuple[int, int, int, int]]) -> np.ndarray:
@@ -27,14 +22,3 @@ def masked(image: np.ndarray, level: dict[str, Any], rects: Sequence[tuple[int, 
     texels[..., 3] = np.where(texels[..., 3] > 0, 255, 0)
     texels[~kept] = 0
     return texels
-
-
-def encode(texels: np.ndarray, kind: str) -> bytes:
-    """Return the texels as a lossless PNG or WebP file that keeps colour under alpha 0."""
-    out = io.BytesIO()
-    picture = Image.fromarray(texels, "RGBA")
-    if kind == PNG:
-        picture.save(out, "PNG", compress_level=6)
-    else:
-        picture.save(out, "WEBP", lossless=True, exact=True, method=1, quality=50)
-    return out.getvalue()
