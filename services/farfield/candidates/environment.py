@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from farfield.candidates.generate import joined
 from farfield.candidates.model import BOX, Candidates, take
 from farfield.errors import OutOfDomain
 from farfield.geometry.cells import CellTree
@@ -218,15 +219,7 @@ def generate_maps(
 
 def merge(parts: Sequence[Candidates]) -> Candidates:
     """Return the candidates of all shards as one, sorted by (cluster, kind, view cell)."""
-    join = lambda name: np.concatenate([getattr(p, name) for p in parts])  # noqa: E731
-    offset = np.cumsum([0, *(p.row[-1] for p in parts)])
-    row = np.concatenate([[0], *(p.row[1:] + o for p, o in zip(parts, offset, strict=False))]).astype(np.int64)
-    return _sorted(
-        Candidates(
-            row=row, **{name: join(name) for name in
-                        ("cluster", "kind", "view_cell", "bytes", "layers", "cost", "view", "saved")},
-        )
-    )  # fmt: skip
+    return _sorted(joined(parts))
 
 
 def _sorted(candidates: Candidates) -> Candidates:

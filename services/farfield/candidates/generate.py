@@ -292,18 +292,23 @@ def merge(parts: Sequence[Candidates]) -> Candidates:
     """Return the candidates of all shards, which must come in order of their clusters; ids are final."""
     if not parts:
         return _Rows().build()
-    columns = _joined(parts)
-    merged = Candidates(row=columns.pop("row")[0], **{name: np.concatenate(column) for name, column in columns.items()})
+    merged = joined(parts)
     assert (np.diff(merged.cluster) >= 0).all()
     return merged
 
 
 def merged_parts(parts: Sequence[Candidates]) -> Parts:
     """Return the artifact of what `merge` returns, its columns still in the shards' own: some hundred megabytes."""
-    return dataclass_parts(parts[0], **_joined(parts)) if parts else dataclass_parts(merge(parts))
+    return dataclass_parts(parts[0], **_columns(parts)) if parts else dataclass_parts(merge(parts))
 
 
-def _joined(parts: Sequence[Candidates]) -> dict[str, list[np.ndarray]]:
+def joined(parts: Sequence[Candidates]) -> Candidates:
+    """Return the candidates of one or more shards as one, in the shards' order."""
+    columns = _columns(parts)
+    return Candidates(row=columns.pop("row")[0], **{name: np.concatenate(column) for name, column in columns.items()})
+
+
+def _columns(parts: Sequence[Candidates]) -> dict[str, list[np.ndarray]]:
     offset = np.concatenate([[0], np.cumsum([p.row[-1] for p in parts])])
     row = np.concatenate([[0], *(p.row[1:] + o for p, o in zip(parts, offset[:-1], strict=True))]).astype(np.int64)
     names = [f.name for f in fields(Candidates) if f.name != "row"]
