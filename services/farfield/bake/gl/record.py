@@ -153,14 +153,12 @@ class RecorderApart:
     def __init__(self) -> None:
         """Raises NoContext, ContextLost."""
         self.name = str(child().call("farfield.bake.gl.record:here_name"))
-        self.lost = 0
 
     def record(self, *given: Any) -> np.ndarray:
         """As `farfield.bake.coverage.record`. Raises ContextLost where two children in a row are lost."""
         try:
             return record_with(self, *given)
         except ContextLost:
-            self.lost += 1
             return record_with(self, *given)
 
     def begin(self, width: int, height: int) -> None:
