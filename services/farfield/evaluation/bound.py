@@ -15,6 +15,7 @@ import numpy as np
 
 from farfield.evaluation import kernels
 from farfield.evaluation.verify import Eye
+from farfield.evaluation.views import direction_in
 from farfield.placementdb.read import Placement
 
 SAMPLES = 100  # cameras of one problem view
@@ -32,8 +33,8 @@ def bound_over_union(placement: Placement, *, views: int, seed: int = 0, samples
     chosen = np.sort(rng.choice(count, min(views, count), replace=False)) if count else np.zeros(0, np.int64)
     over_union, over_worst = [], []
     for v in chosen.tolist():
-        chunk = placement.chunk(int(np.searchsorted(last, v, side="right")))
-        entry = placement.manifest["chunks"][int(np.searchsorted(last, v, side="right"))]
+        k = int(np.searchsorted(last, v, side="right"))
+        chunk, entry = placement.chunk(k), placement.manifest["chunks"][k]
         local = v - entry["views"][0]
         cell = entry["cells"][0] + int(np.searchsorted(chunk["cell_view"], local, side="right")) - 1
         union, worst = _drawn(eye, cell, int(chunk["view_interval"][local]), rng, samples)
@@ -59,40 +60,17 @@ def _drawn(eye: Eye, cell: int, interval: int, rng: np.random.Generator, samples
     """Return (cost of all that some camera draws, cost of what the dearest one draws), per_frame left out."""
     placement = eye.placement
     box = placement.index["node_box"][placement.index["cell_node"][cell]]
-    objects, levels = _seen(placement, cell), placement.levels_in(cell)
+    objects, levels = np.flatnonzero(placement.seen_from(cell)), placement.levels_in(cell)
     fixed = np.array([eye.geometry_cost(objects[[k]], levels[objects[[k]]]) for k in range(len(objects))])
     pixel = eye.price["per_pixel"] * eye.pixels
     largest, share, worst = np.full(len(objects), -1.0), np.empty(len(objects)), 0.0
     corners = list(product((0.0, 1.0), repeat=5))
     for s in range(samples):
         at = np.array(corners[s // 2 % 32]) if s % 2 else rng.random(5)
-        frame = eye.frame(_direction(placement, interval, at[3], at[4]))
+        frame = eye.frame(direction_in(placement, interval, at[3], at[4]))
         kernels.boxes_share(placement.index["object_box"], objects, box[0] + (box[1] - box[0]) * at[:3], frame, share)
         drawn = share >= 0
         worst = max(worst, float(fixed[drawn].sum() + pixel * share[drawn].sum()))
         np.maximum(largest, share, out=largest)
     some = largest >= 0
     return float(fixed[some].sum() + pixel * largest[some].sum()), worst
-
-
-def _seen(placement: Placement, cell: int) -> np.ndarray:
-    """Return the ids (n,) i64 of the objects that the cell may see."""
-    for k, entry in enumerate(placement.manifest["chunks"]):
-        first, stop = entry["cells"]
-        chunk = placement.chunk(k) if first <= cell < stop else {}
-        if chunk and len(chunk["cell_visible"]):
-            a, b = chunk["visible_row"][chunk["cell_visible"][cell - first] :][:2]
-            return chunk["visible_object"][a:b].astype(np.int64)
-    return np.arange(len(placement.index["object_box"]))
-
-
-def _direction(placement: Placement, interval: int, share_u: float, share_v: float) -> np.ndarray:
-    """Return the direction (3,) at shares [0, 1] of the interval's two ratios (docs/formats/placementdb.md)."""
-    edges = placement.manifest["interval_edges"]
-    n = len(edges) - 1
-    face, j, i = interval // (n * n), interval // n % n, interval % n
-    direction = np.empty(3)
-    direction[face // 2] = -1.0 if face % 2 else 1.0
-    direction[(face // 2 + 1) % 3] = edges[i] + (edges[i + 1] - edges[i]) * share_u
-    direction[(face // 2 + 2) % 3] = edges[j] + (edges[j + 1] - edges[j]) * share_v
-    return direction

@@ -23,6 +23,7 @@ from farfield.errors import ColumnsAltered
 from farfield.evaluation import kernels
 from farfield.evaluation.climb import climb
 from farfield.evaluation.level import read_boxes, read_levels
+from farfield.evaluation.views import direction_in, into
 from farfield.placementdb.read import Lookup, Placement
 
 BOX_TOLERANCE = 1e-9  # of the largest coordinate: what float64 loses between two orders of the same transform
@@ -106,14 +107,14 @@ def _climb(trial: Trial, most_cells: int) -> dict[str, Any]:
         if cell not in trial.worst:
             direction = _worst_stated(placement, cell)
             if direction is not None:
-                trial.see(_into(boxes, cell_boxes[cell].mean(0)), direction)
+                trial.see(into(boxes, cell_boxes[cell].mean(0)), direction)
     order = sorted(trial.worst, key=lambda c: (-trial.worst[c][0], c))[:most_cells]
     climbs = []
     for cell in order:
         ratio, position, direction = trial.worst[cell]
         climbs.append(
             climb(
-                position, direction, cell_boxes[cell], lambda p, d: trial.see(_into(boxes, p), d)[0], start=ratio,
+                position, direction, cell_boxes[cell], lambda p, d: trial.see(into(boxes, p), d)[0], start=ratio,
                 seed=(trial.seed, cell),
             )
         )  # fmt: skip
@@ -127,27 +128,15 @@ def _climb(trial: Trial, most_cells: int) -> dict[str, Any]:
 
 def _worst_stated(placement: Placement, cell: int) -> np.ndarray | None:
     """Return a direction in the interval whose stated cost is the highest of the cell's that are not hopeless."""
-    for k, entry in enumerate(placement.manifest["chunks"]):
-        first, stop = entry["cells"]
-        if first <= cell < stop:
-            chunk = placement.chunk(k)
-            a, b = chunk["cell_view"][cell - first : cell - first + 2]
-            cost = np.where(chunk["view_hopeless"][a:b] != 0, -1, chunk["view_cost"][a:b])
-            if len(cost) and cost.max() >= 0:
-                return _middle(placement, int(chunk["view_interval"][a + int(cost.argmax())]))
-    return None
-
-
-def _middle(placement: Placement, interval: int) -> np.ndarray:
-    """Return the direction (3,) in the middle of an interval, as docs/formats/placementdb.md numbers them."""
-    edges = placement.manifest["interval_edges"]
-    n = len(edges) - 1
-    face, j, i = interval // (n * n), interval // n % n, interval % n
-    direction = np.empty(3)
-    direction[face // 2] = -1.0 if face % 2 else 1.0
-    direction[(face // 2 + 1) % 3] = (edges[i] + edges[i + 1]) / 2
-    direction[(face // 2 + 2) % 3] = (edges[j] + edges[j + 1]) / 2
-    return direction
+    k = placement.chunk_of(cell)
+    if k is None:
+        return None
+    chunk, local = placement.chunk(k), cell - placement.manifest["chunks"][k]["cells"][0]
+    a, b = chunk["cell_view"][local : local + 2]
+    cost = np.where(chunk["view_hopeless"][a:b] != 0, -1, chunk["view_cost"][a:b])
+    if not len(cost) or cost.max() < 0:
+        return None
+    return direction_in(placement, int(chunk["view_interval"][a + int(cost.argmax())]))
 
 
 def merge_found(found: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -266,7 +255,7 @@ def draw_views(placement: Placement, n: int, seed: int) -> Iterable[tuple[np.nda
             side = rng.integers(0, 3, 3)  # low, high, or between, on each axis
             inside = inner_low + (inner_high - inner_low) * rng.random(3)
             position = np.select([side == 0, side == 1], [inner_low, inner_high], inside)
-            position = _into(boxes, position)
+            position = into(boxes, position)
             m = rng.integers(3)
             direction = rng.choice(edges, 3)
             direction[m] = rng.choice([-1.0, 1.0])
@@ -274,12 +263,6 @@ def draw_views(placement: Placement, n: int, seed: int) -> Iterable[tuple[np.nda
             direction[[0, 2]] *= 10.0 ** -rng.uniform(1, 9)
             direction[1] = math.copysign(1.0, direction[1])
         yield position, direction / math.sqrt(float((direction * direction).sum()))
-
-
-def _into(boxes: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return the nearest point of the view space: a cell's bounding box may hold points that no box of it does."""
-    inside = np.clip(position, boxes[:, 0], boxes[:, 1])
-    return inside[int(np.argmin(((inside - position) ** 2).sum(1)))]
 
 
 def check_level(placement: Placement, path: Path) -> None:

@@ -61,7 +61,8 @@ def select_view(placement: Placement, position: Sequence[float], direction: Sequ
 
 
 def _chunks_of(placement: Placement, cell: int) -> list[int]:
-    return [k for k, entry in enumerate(placement.manifest["chunks"]) if entry["cells"][0] <= cell < entry["cells"][1]]
+    k = placement.chunk_of(cell)
+    return [] if k is None else [k]
 
 
 def _select(

@@ -124,15 +124,10 @@ class Placement:
         cell, interval = self.find_cell(position), self.find_interval(direction)
         none = np.zeros(0, dtype=np.int64)
         view, hopeless, impostors = None, False, none
-        seen = np.ones(len(self.index["object_box"]), dtype=bool)
-        cost = int(self.manifest["worst_nonproblem"])
-        k = bisect.bisect_right(self._first_cells, cell) - 1
-        if k >= 0 and cell < self.manifest["chunks"][k]["cells"][1]:
+        seen, cost = self.seen_from(cell), int(self.manifest["worst_nonproblem"])
+        k = self.chunk_of(cell)
+        if k is not None:
             chunk, local = self.chunk(k), cell - self._first_cells[k]
-            if len(chunk["cell_visible"]):
-                a, b = chunk["visible_row"][chunk["cell_visible"][local] :][:2]
-                seen[:] = False
-                seen[chunk["visible_object"][a:b]] = True
             a, b = chunk["cell_view"][local : local + 2]
             v = a + int(np.searchsorted(chunk["view_interval"][a:b], interval))
             if v < b and chunk["view_interval"][v] == interval:
@@ -148,6 +143,22 @@ class Placement:
             levels=self.levels_in(cell)[objects], impostors=impostors,
             cost_bound=cost + int(self.manifest["cost_model"]["per_frame"]),
         )  # fmt: skip
+
+    def chunk_of(self, cell: int) -> int | None:
+        """Return the chunk that holds the cell's views and visible objects; None: it has nothing to say of it."""
+        k = bisect.bisect_right(self._first_cells, cell) - 1
+        return k if k >= 0 and cell < self.manifest["chunks"][k]["cells"][1] else None
+
+    def seen_from(self, cell: int) -> np.ndarray:
+        """Return (N,) b1: the objects that may be seen from somewhere in the cell."""
+        k = self.chunk_of(cell)
+        chunk = self.chunk(k) if k is not None else {}
+        if k is None or not len(chunk["cell_visible"]):
+            return np.ones(len(self.index["object_box"]), dtype=bool)
+        seen = np.zeros(len(self.index["object_box"]), dtype=bool)
+        a, b = chunk["visible_row"][chunk["cell_visible"][cell - self._first_cells[k]] :][:2]
+        seen[chunk["visible_object"][a:b]] = True
+        return seen
 
     def levels_in(self, cell: int) -> np.ndarray:
         """Return (N,) i64: the level at which each object is drawn from anywhere in the cell."""

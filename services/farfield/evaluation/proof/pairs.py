@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from farfield.evaluation.views import direction_in, into
 from farfield.placementdb.read import Placement
 
 ATTEMPTS = 24  # to get an impostor into the picture: a problem view's frustum holds more than any picture from it
@@ -62,7 +63,9 @@ class Shown:
             row = int(np.searchsorted(below, k, side="right")) - 1
             cell, interval = self.view[rows[row, 0] + k - below[row]]
             pair = Pair(impostor, self._position(rng, int(cell)), self._direction(rng, int(interval)))
-            if impostor in self.placement.lookup(pair.position, pair.direction).impostors and self._seen(pair):
+            if impostor in self.placement.lookup(pair.position, pair.direction).impostors and rect_of(
+                self.placement, pair
+            ):
                 return pair, True
         assert pair is not None
         return pair, False
@@ -75,22 +78,11 @@ class Shown:
             side = rng.integers(0, 3, 3)
             at = np.where(side == 0, 0.0, np.where(side == 1, 1 - 1e-9, at))
         boxes = np.array(self.placement.manifest["view_space"], np.float64)
-        inside = np.clip(low + (high - low) * at, boxes[:, 0], boxes[:, 1])
-        nearest = int(np.argmin(((inside - (low + (high - low) * at)) ** 2).sum(1)))
-        return np.asarray(inside[nearest])
+        return into(boxes, low + (high - low) * at)
 
     def _direction(self, rng: np.random.Generator, interval: int) -> np.ndarray:
-        edges = np.array(self.placement.manifest["interval_edges"])
-        n = len(edges) - 1
-        face, j, i = interval // (n * n), interval // n % n, interval % n
-        m, out = face // 2, np.empty(3)
-        out[m] = -1.0 if face % 2 else 1.0
-        out[(m + 1) % 3] = edges[i] + (edges[i + 1] - edges[i]) * rng.random()
-        out[(m + 2) % 3] = edges[j] + (edges[j + 1] - edges[j]) * rng.random()
+        out = direction_in(self.placement, interval, rng.random(), rng.random())
         return out / np.sqrt((out * out).sum())
-
-    def _seen(self, pair: Pair) -> bool:
-        return rect_of(self.placement, pair) is not None
 
 
 def frame_of(direction: np.ndarray) -> np.ndarray:
