@@ -91,6 +91,9 @@ def test_the_operator_makes_tenants_and_sets_what_they_may_have(service, operato
     assert (late.status_code, late.json()["code"]) == (412, "PreconditionFailed")
     assert service.client.get(path, headers=operator).json() == wanted
     assert service.client.get(path, headers={**operator, "if-none-match": changed.headers["etag"]}).status_code == 304
+    for most, status in ((2**31 - 1, 200), (2**31, 422)):  # as many as the column holds
+        assert service.client.put(path, json={**wanted, "max_jobs": most}, headers=operator).status_code == status
+    service.client.put(path, json=wanted, headers=operator)
     acting = {**operator, "farfield-tenant": made.json()["id"]}
     key = service.client.post("/v1/keys", json={"name": "first", "scopes": ["read"]}, headers=acting).json()
     assert key["tenant"] == made.json()["id"]

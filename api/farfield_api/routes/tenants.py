@@ -5,7 +5,6 @@ from typing import Annotated, Any
 from farfield.store import quotas, tenants
 from farfield.store.pages import ALL
 from farfield.store.quotas import Quota
-from farfield.store.tenants import Caller
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -16,13 +15,13 @@ from farfield_api.errors import PreconditionFailed, TenantNeeded
 from farfield_api.paging import CursorText, Limit, cut, read_cursor
 from farfield_api.replies.common import Id
 from farfield_api.replies.tenants import QuotaReply, TenantPage, TenantReply, UsageReply
-from farfield_api.state import Service, State
+from farfield_api.state import Service
 from farfield_api.times import iso
 
 router = APIRouter(prefix="/v1", tags=["tenants"])
 
 _Limit = Annotated[int | None, Field(ge=0, le=1 << 62)]
-_Count = Annotated[int | None, Field(ge=0, le=1 << 31 - 1)]
+_Count = Annotated[int | None, Field(ge=0, le=(1 << 31) - 1)]
 
 
 class TenantRequest(BaseModel):
@@ -66,7 +65,7 @@ def show(tenant_id: Id, caller: Operator, service: Service) -> TenantReply:
     responses=refusals("TenantNotFound"),
 )  # fmt: skip
 def show_quota(tenant_id: Id, response: Response, caller: Operator, service: Service) -> QuotaReply:
-    reply = _own_quota(service, tenant_id)
+    reply = _quota_of(tenants.get_tenant(service.engine, tenant_id))
     response.headers["etag"] = etag_of_shown(reply)
     return reply
 
@@ -87,21 +86,13 @@ def set_quota(
 
 @router.get("/usage", summary="What the tenant has, and how much it may have")
 def usage(caller: Reader, service: Service) -> UsageReply:
-    _one(caller)
+    if caller.tenant_id == ALL:
+        raise TenantNeeded
     used = quotas.usage(service.engine, caller.tenant_id)
     quota = quotas.quota_of(service.engine, caller.tenant_id, service.settings.quota)
     return UsageReply(
         tenant=caller.tenant_id, bytes=used.bytes, jobs=used.jobs, running=used.running, quota=_quota_of(quota)
     )
-
-
-def _one(caller: Caller) -> None:
-    if caller.tenant_id == ALL:
-        raise TenantNeeded
-
-
-def _own_quota(service: State, tenant_id: str) -> QuotaReply:
-    return _quota_of(tenants.get_tenant(service.engine, tenant_id))
 
 
 def _quota_of(row: Any) -> QuotaReply:
