@@ -12,6 +12,7 @@ from fastapi import Query
 from pydantic import AwareDatetime
 
 from farfield_api.errors import CursorInvalid
+from farfield_api.replies.common import PLAIN
 
 CursorText = Annotated[
     str | None, Query(alias="cursor", max_length=400, description="the `next` of the page before, unchanged")
@@ -19,7 +20,7 @@ CursorText = Annotated[
 Limit = Annotated[int, Query(ge=1, le=200, description="at most so many")]
 Part = Annotated[
     str | None,
-    Query(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f]*$", description="part of the name, any case"),
+    Query(min_length=1, max_length=255, pattern=PLAIN, description="part of the name, any case"),
 ]
 Since = Annotated[AwareDatetime | None, Query(description="made then or later", examples=["2026-01-31T09:15:00Z"])]
 Until = Annotated[AwareDatetime | None, Query(description="made before then", examples=["2026-02-28T00:00:00Z"])]

@@ -1,4 +1,4 @@
-"""What all answers share: a base that knows no other keys, identifiers, and examples."""
+"""What all answers share: a base that knows no other keys, identifiers, and examples; patterns, which requests share."""
 
 from typing import Annotated, Any
 
@@ -11,8 +11,11 @@ TENANT = "9e8d7c6b5a49382716059f8e7d6c5b4a"
 SCENE = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 AT = "2026-01-31T09:15:00.000Z"
 
-Id = Annotated[str, Path(pattern="^[0-9a-f]{32}$", examples=[JOB])]
-Digest = Annotated[str, Path(pattern="^[0-9a-f]{64}$", examples=[SCENE])]
+ID, DIGEST = "^[0-9a-f]{32}$", "^[0-9a-f]{64}$"
+PLAIN = r"^[^\x00-\x1f]*$"  # a text on one line, without control codes
+
+Id = Annotated[str, Path(pattern=ID, examples=[JOB])]
+Digest = Annotated[str, Path(pattern=DIGEST, examples=[SCENE])]
 Time = Annotated[str, Field(json_schema_extra={"format": "date-time"}, description="RFC 3339, UTC")]
 Next = Annotated[str | None, Field(description="cursor of the next page; null: this is the last one")]
 

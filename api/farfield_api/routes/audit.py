@@ -9,6 +9,7 @@ from farfield_api.auth import Admin
 from farfield_api.documented import refusals
 from farfield_api.errors import CursorInvalid
 from farfield_api.paging import CursorText, Limit, Since, seconds
+from farfield_api.replies.common import ID, PLAIN
 from farfield_api.replies.tenants import AuditEntry, AuditPage
 from farfield_api.state import Service
 from farfield_api.times import iso
@@ -19,9 +20,9 @@ router = APIRouter(prefix="/v1/audit", tags=["audit"])
 @router.get("", summary="Every change that was asked for with a key, newest first", responses=refusals("CursorInvalid"))
 def list_entries(
     caller: Admin, service: Service, cursor: CursorText = None, limit: Limit = 50,
-    key: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="id of the key that asked")] = None,
+    key: Annotated[str | None, Query(pattern=ID, description="id of the key that asked")] = None,
     action: Annotated[
-        str | None, Query(max_length=200, pattern=r"^[^\x00-\x1f]*$", examples=["DELETE /v1/jobs/{job_id}"])
+        str | None, Query(max_length=200, pattern=PLAIN, examples=["DELETE /v1/jobs/{job_id}"])
     ] = None,
     created_after: Since = None,
 ) -> AuditPage:  # fmt: skip

@@ -21,7 +21,7 @@ from farfield_api.auth import Reader, Submitter
 from farfield_api.documented import refusals
 from farfield_api.errors import DeviceBusy, InputRefused
 from farfield_api.paging import CursorText, Limit, Part, cut, read_cursor
-from farfield_api.replies.common import Id
+from farfield_api.replies.common import PLAIN, Id
 from farfield_api.replies.devices import DeviceLinks, DevicePageReply, DeviceReply, Preset
 from farfield_api.state import Service, State
 from farfield_api.times import iso
@@ -41,9 +41,7 @@ CheckedProfile = Annotated[
 
 class DeviceRequest(BaseModel):
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"name": "office"}]})
-    name: str = Field(
-        min_length=1, max_length=100, pattern=r"^[^\x00-\x1f]*$", description="what jobs call it in settings.device"
-    )
+    name: str = Field(min_length=1, max_length=100, pattern=PLAIN, description="what jobs call it in settings.device")
     profile: CheckedProfile | None = Field(None, description="its figures where they are known; else send samples")
 
 

@@ -16,7 +16,7 @@ from farfield_api.conditions import etag_of_shown, expect_match
 from farfield_api.documented import refusals
 from farfield_api.errors import PreconditionFailed
 from farfield_api.paging import CursorText, DryRun, Limit, Part, Since, Until, cut, read_cursor, seconds
-from farfield_api.replies.common import SCENE, Id
+from farfield_api.replies.common import DIGEST, ID, PLAIN, SCENE, Id
 from farfield_api.replies.jobs import (
     CurveReply,
     JobDeleted,
@@ -34,7 +34,6 @@ from farfield_api.times import iso
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
-DIGEST = "^[0-9a-f]{64}$"
 # The schema is the dataclass's; the checks are the domain's own, so that a bad value has the same error everywhere.
 CheckedSettings = Annotated[Settings, WrapValidator(lambda value, inner: from_mapping(value))]
 
@@ -46,13 +45,11 @@ class JobRequest(BaseModel):
     scene: str = Field(pattern=DIGEST, description="digest of an uploaded scene")
     settings: CheckedSettings = Field(default_factory=Settings, description="what is left out has its default")
     name: str | None = Field(
-        None, max_length=255, pattern=r"^[^\x00-\x1f]*$", description="what to call it; the scene's name by default"
+        None, max_length=255, pattern=PLAIN, description="what to call it; the scene's name by default"
     )
     priority: Priority = Field("normal", description="before or after other jobs of the tenant")
     webhook: str | None = Field(
-        None,
-        pattern="^[0-9a-f]{32}$",
-        description="id of a webhook to tell of this job, whether it hears of all or not",
+        None, pattern=ID, description="id of a webhook to tell of this job, whether it hears of all or not"
     )
 
 

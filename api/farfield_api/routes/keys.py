@@ -11,7 +11,7 @@ from farfield_api.auth import Admin
 from farfield_api.documented import refusals
 from farfield_api.errors import ScopeMissing
 from farfield_api.paging import CursorText, Limit, cut, read_cursor
-from farfield_api.replies.common import Id
+from farfield_api.replies.common import PLAIN, Id
 from farfield_api.replies.tenants import KeyPage, KeyReply, NewKeyReply, Scope
 from farfield_api.state import Service, State
 from farfield_api.times import iso
@@ -30,7 +30,7 @@ class KeyRequest(BaseModel):
             "examples": [{"name": "nightly build", "scopes": ["read", "submit"], "expires_in_s": 15_552_000}]
         },
     )
-    name: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f]*$", description="what it is for")
+    name: str = Field(min_length=1, max_length=100, pattern=PLAIN, description="what it is for")
     scopes: set[Scope] = Field(
         min_length=1, description="read: see; submit: change; admin: keys, webhooks of all, audit"
     )

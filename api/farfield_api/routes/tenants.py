@@ -13,7 +13,7 @@ from farfield_api.conditions import etag_of_shown, expect_match
 from farfield_api.documented import refusals
 from farfield_api.errors import PreconditionFailed, TenantNeeded
 from farfield_api.paging import CursorText, Limit, cut, read_cursor
-from farfield_api.replies.common import Id
+from farfield_api.replies.common import PLAIN, Id
 from farfield_api.replies.tenants import QuotaReply, TenantPage, TenantReply, UsageReply
 from farfield_api.state import Service
 from farfield_api.times import iso
@@ -26,7 +26,7 @@ _Count = Annotated[int | None, Field(ge=0, le=(1 << 31) - 1)]
 
 class TenantRequest(BaseModel):
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"name": "harbour"}]})
-    name: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f]*$")
+    name: str = Field(min_length=1, max_length=100, pattern=PLAIN)
 
 
 class QuotaRequest(BaseModel):

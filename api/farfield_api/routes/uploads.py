@@ -20,6 +20,7 @@ from farfield_api import resumable
 from farfield_api.auth import Reader, Submitter
 from farfield_api.documented import refusals
 from farfield_api.errors import RESPONSES, TusVersionUnknown, UploadHeaderInvalid, UploadTooLarge, UploadTypeUnknown
+from farfield_api.replies.common import DIGEST
 from farfield_api.replies.uploads import UploadLinks, UploadListReply, UploadProblem, UploadReply
 from farfield_api.state import Service
 from farfield_api.times import iso
@@ -28,7 +29,6 @@ from farfield_api.upload import plain_name
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,checksum,expiration,termination"
 PIECE = "application/offset+octet-stream"
-SHA256 = "^[0-9a-f]{64}$"
 UNLIMITED = 1 << 50  # no limit: what counts is the upload's own length
 
 
@@ -115,7 +115,7 @@ async def create(
 def list_uploads(
     caller: Reader,
     service: Service,
-    sha256: Annotated[str | None, Query(pattern=SHA256, description="only those of the file with this digest")] = None,
+    sha256: Annotated[str | None, Query(pattern=DIGEST, description="only those of the file with this digest")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
 ) -> UploadListReply:
     rows = uploads.page(service.engine, caller.tenant_id, digest=sha256, limit=limit)

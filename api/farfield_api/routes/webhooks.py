@@ -12,7 +12,7 @@ from farfield_api.conditions import etag_of_shown, expect_match
 from farfield_api.documented import refusals
 from farfield_api.errors import PreconditionFailed, ScopeMissing
 from farfield_api.paging import CursorText, Limit, cut, read_cursor
-from farfield_api.replies.common import Id
+from farfield_api.replies.common import PLAIN, Id
 from farfield_api.replies.webhooks import (
     DeliveryPage,
     DeliveryReply,
@@ -27,7 +27,7 @@ from farfield_api.times import iso
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
 
-_Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f]*$")]
+_Name = Annotated[str, Field(min_length=1, max_length=100, pattern=PLAIN)]
 _Url = Annotated[str, Field(min_length=8, max_length=addresses.MAX_URL, description="https, of a public host")]
 _Events = Annotated[set[Event], Field(min_length=1)]
 
