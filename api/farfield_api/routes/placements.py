@@ -5,7 +5,6 @@ A folder registered with `farfield serve --placement` is served as it lies. Eith
 /v1/placements/NAME/manifest.json, /v1/placements/NAME/scene.glb, /v1/placements/NAME/report.json.
 """
 
-import hashlib
 import re
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from farfield.store import jobs
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 
-from farfield_api.answers import matches
+from farfield_api.answers import etag_of, matches
 from farfield_api.auth import Reader
 from farfield_api.documented import refusals
 from farfield_api.pages import file_inside
@@ -100,8 +99,7 @@ def _of_job(job_id: str, path: str, request: Request, caller: Reader, service: S
 
 
 def _headers(source: str, path: str, caching: str) -> dict[str, str]:
-    etag = f'"{hashlib.sha256(f"{source}/{path}".encode()).hexdigest()[:32]}"'
-    return {"etag": etag, "cache-control": caching, "vary": "Cookie, Authorization"}
+    return {"etag": etag_of(f"{source}/{path}".encode()), "cache-control": caching}
 
 
 def _type(path: str) -> str:
