@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from farfield import webhooks as addresses
 from farfield.store import webhooks
+from farfield.store.tenants import Caller
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -59,8 +60,7 @@ class WebhookChange(BaseModel):
     responses=refusals("WebhookAddressRefused", "QuotaExceeded"),
 )  # fmt: skip
 def create(wanted: WebhookRequest, response: Response, caller: Submitter, service: Service) -> NewWebhookReply:
-    if wanted.every_job and "admin" not in caller.scopes:
-        raise ScopeMissing("admin")
+    _may_have(caller, wanted.every_job)
     addresses.resolve(wanted.url, service.settings.webhook_networks)
     webhook_id, secret = webhooks.create(
         service.engine, caller.tenant_id, name=wanted.name, url=wanted.url, events=wanted.events,
@@ -94,8 +94,7 @@ def change(
     told = {key: value for key, value in wanted.model_dump().items() if value is not None}
 
     def expect(row: Any) -> None:
-        if (row.every_job or wanted.every_job) and "admin" not in caller.scopes:
-            raise ScopeMissing("admin")
+        _may_have(caller, row.every_job or wanted.every_job)
         expect_match(request, WebhookReply(**_shown(row)))
 
     if wanted.url is not None:
@@ -110,8 +109,7 @@ def change(
 )  # fmt: skip
 def delete(webhook_id: Id, request: Request, caller: Submitter, service: Service) -> None:
     def expect(row: Any) -> None:
-        if row.every_job and "admin" not in caller.scopes:
-            raise ScopeMissing("admin")
+        _may_have(caller, row.every_job)
         expect_match(request, WebhookReply(**_shown(row)))
 
     webhooks.delete(service.engine, caller.tenant_id, webhook_id, expect=expect)
@@ -122,9 +120,7 @@ def delete(webhook_id: Id, request: Request, caller: Submitter, service: Service
     responses=refusals("WebhookNotFound"),
 )  # fmt: skip
 def rotate(webhook_id: Id, response: Response, caller: Submitter, service: Service) -> NewWebhookReply:
-    row = webhooks.get(service.engine, caller.tenant_id, webhook_id)
-    if row.every_job and "admin" not in caller.scopes:
-        raise ScopeMissing("admin")
+    _may_have(caller, webhooks.get(service.engine, caller.tenant_id, webhook_id).every_job)
     secret = webhooks.rotate(service.engine, caller.tenant_id, webhook_id)
     response.headers["cache-control"] = "no-store"
     return NewWebhookReply(**_shown(webhooks.get(service.engine, caller.tenant_id, webhook_id)), secret=secret)
@@ -160,6 +156,11 @@ def deliveries(
 def redeliver(webhook_id: Id, delivery_id: Id, caller: Submitter, service: Service) -> DeliveryStarted:
     webhooks.redeliver(service.engine, caller.tenant_id, webhook_id, delivery_id)
     return DeliveryStarted(delivery=delivery_id)
+
+
+def _may_have(caller: Caller, every_job: bool | None) -> None:
+    if every_job and "admin" not in caller.scopes:
+        raise ScopeMissing("admin")
 
 
 def _shown(row: Any) -> dict[str, Any]:
