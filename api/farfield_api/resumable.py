@@ -76,8 +76,9 @@ def need_quota(service: State, tenant_id: str, n_bytes: int, digest: str | None)
 
     digest  a scene that the tenant has is no more of it
     """
-    with suppress(SceneNotFound):
-        if digest is not None and scenes.get(service.engine, tenant_id, digest) is not None:
+    if digest is not None:
+        with suppress(SceneNotFound):
+            scenes.get(service.engine, tenant_id, digest)
             return
     with read(service.engine) as tx:
         quotas.check_bytes(tx, tenant_id, service.settings.quota, n_bytes)

@@ -12,9 +12,10 @@ from farfield.store.tenants import Caller
 from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from farfield_api.auth import SAFE
+
 log = logging.getLogger(__name__)
 
-SAFE = ("GET", "HEAD", "OPTIONS")
 LEFT_OUT = ("PATCH /v1/uploads/",)
 
 
