@@ -303,6 +303,25 @@ def test_stopping_the_service_is_no_attempt(in_process):
     assert in_process.job(job_id).state == "done"
 
 
+@pytest.mark.parametrize("how", ["stopped", "put off"])
+def test_who_gave_a_shard_back_touches_no_later_claim_of_the_same_attempt(in_process, monkeypatch, how):
+    monkeypatch.setattr(shards, "PUT_OFF_S", (0.0,))
+    _, message = in_process.submit()
+    old = shards.claim(in_process.engine, message.shard_id, worker="old")
+
+    def put_off():
+        return shards.put_off(in_process.engine, old, error={}, log="")
+
+    assert progress.hand_back(in_process.engine, "old") == 1 if how == "stopped" else put_off() == "ready"
+    new = shards.claim(in_process.engine, message.shard_id, worker="new")
+    assert new.attempt == old.attempt == 1
+    result = {"digest": "0" * 64, "n_bytes": 1, "key": None, "seconds": 0.0, "peak_bytes": 1}
+    assert not shards.renew(in_process.engine, old)
+    assert shards.commit(in_process.engine, old, **result) == "lost"
+    assert put_off() == "lost"  # asked again, because the first answer was lost
+    assert shards.renew(in_process.engine, new)
+
+
 def test_a_job_that_cannot_move_holds_up_no_other(in_process, monkeypatch):
     environment = {"DATABASE_URL": str(in_process.engine.url), "BROKER_URL": "memory://", "ARTIFACTS": "none"}
     for name, value in environment.items():

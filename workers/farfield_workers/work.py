@@ -1,7 +1,7 @@
 """What a worker does with a shard id: claim, compute, commit, then move the job on.
 
 Safe to run twice, at once, and to be killed at any point: the result is a blob under its digest, the commit needs the
-attempt to be still ours, and moving on is a compare-and-set that anyone may repeat.
+claim to be still ours, and moving on is a compare-and-set that anyone may repeat.
 """
 
 import functools
@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 import sqlalchemy as sa
 from farfield import memory
 from farfield.errors import ArtifactLost, FarfieldError, OverMemory, StageFailed, StoreUnavailable
-from farfield.pipeline import Inputs, shard_key
 from farfield.stages import Stage
+from farfield.steps.model import Inputs, shard_key
 from farfield.store import progress, shards
 from farfield.store.artifacts import Artifacts
 from farfield.store.fair import Host, next_shard

@@ -139,7 +139,8 @@ def release_worker(engine: sa.Engine, worker: str | None) -> int:
 def _take_back(engine: sa.Engine, which: sa.ColumnElement[bool]) -> int:
     with write(engine) as tx:
         rows = tx.execute(
-            sa.select(shard.c.id, shard.c.job_id, shard.c.kind, shard.c.ordinal, shard.c.attempt, stage.c.name)
+            sa.select(shard.c.id, shard.c.job_id, shard.c.kind, shard.c.ordinal, shard.c.attempt, shard.c.claims,
+                      stage.c.name)
             .join(stage, stage.c.id == shard.c.stage_id).where(which).order_by(shard.c.job_id, shard.c.id)
         ).all()  # fmt: skip
         number = 0
@@ -148,7 +149,7 @@ def _take_back(engine: sa.Engine, which: sa.ColumnElement[bool]) -> int:
             over = row.attempt >= MAX_ATTEMPTS
             values = {"state": "failed", "error": DIED} if over else {"state": "ready", "ready_at": now()}
             # Another may have been here first, or the worker may have been faster after all.
-            same = (shard.c.id == row.id) & (shard.c.attempt == row.attempt) & which
+            same = (shard.c.id == row.id) & (shard.c.claims == row.claims) & which
             if tx.execute(sa.update(shard).where(same).values(lease_until=None, **values)).rowcount:
                 number += 1
                 counters.count_lost(tx, row.name)

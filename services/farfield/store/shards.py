@@ -1,7 +1,8 @@
 """The life of a shard: claimed, renewed, committed, failed or put off. Each is one transaction.
 
-Claim    One UPDATE takes a shard that is ready, or whose lease ran out, and raises its attempt: of any number of
-         messages for it, one wins. The attempt is the fence: who holds an older one can renew and commit nothing.
+Claim    One UPDATE takes a shard that is ready, or whose lease ran out, and numbers the claim: of any number of
+         messages for it, one wins. The number is the fence: who holds an older one can renew and commit nothing. The
+         attempt is for MAX_ATTEMPTS alone: a stop or a full disk gives it back.
 Locks    The job's row first, then the shard's, then the stage's or the tenant's: everybody takes them in this order, or
          PostgreSQL would see deadlocks.
 Fence    A shard on the optimizer queue also takes the job's one optimizer lease, with a token that grows.
@@ -43,6 +44,7 @@ class Claim:
     params: Any
     queue: str
     attempt: int
+    claim: int  # its number among the claims of this shard
     fence: int | None  # token of the optimizer lease
     settings: Mapping[str, Any]
     scene_digest: str
@@ -88,9 +90,10 @@ def claim(
         outcomes = [_outcome(tx, s) for s in stages] if row.kind == "report" else []
     return Claim(
         shard_id=shard_id, job_id=at.id, stage_id=at.stage_id, stage=at.name, kind=row.kind, ordinal=row.ordinal,
-        params=row.params, queue=row.queue, attempt=row.attempt, fence=fence, settings=at.settings, scene_digest=at.scene_digest,
-        scene_suffix=at.suffix, artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest},
-        pieces=tuple(pieces), outcomes=tuple(outcomes), n_shards=at.n_shards, tenant_id=row.tenant_id,
+        params=row.params, queue=row.queue, attempt=row.attempt, claim=row.claims, fence=fence, settings=at.settings,
+        scene_digest=at.scene_digest, scene_suffix=at.suffix, pieces=tuple(pieces), outcomes=tuple(outcomes),
+        artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest}, n_shards=at.n_shards,
+        tenant_id=row.tenant_id,
     )  # fmt: skip
 
 
@@ -111,8 +114,8 @@ def made(engine: sa.Engine, digest: str, job_id: str) -> Claim | None:
         pieces = tx.scalars(sa.select(shard.c.artifact_digest).where(of).order_by(shard.c.ordinal))
         return Claim(
             shard_id=row.id, job_id=row.job_id, stage_id=row.stage_id, stage=row.name, kind=row.kind,
-            ordinal=row.ordinal, params=row.params, queue=row.queue, attempt=row.attempt, fence=None,
-            settings=row.settings, scene_digest=row.scene_digest, scene_suffix=row.suffix,
+            ordinal=row.ordinal, params=row.params, queue=row.queue, attempt=row.attempt, claim=row.claims,
+            fence=None, settings=row.settings, scene_digest=row.scene_digest, scene_suffix=row.suffix,
             artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest}, pieces=tuple(pieces),
             outcomes=(), n_shards=row.n_shards,
         )  # fmt: skip
@@ -144,7 +147,7 @@ def commit(
     engine: sa.Engine, held: Claim, *, digest: str, n_bytes: int, key: str | None, seconds: float, peak_bytes: int,
     cached: bool = False, check: Callable[[], object] = bool,
 ) -> str:  # fmt: skip
-    """Write the shard's result if the attempt is still ours (and the fence still the newest).
+    """Write the shard's result if it is still ours (and the fence still the newest).
 
     Returns "lost" where it is not, "last" where the job may move on by now, "more" where others of its stage run or wait.
     `check` is called in the transaction, once nobody can delete the artifact any more: it raises where it is gone.
@@ -242,7 +245,7 @@ def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
 def lapsed(lease_s: float = LEASE_S) -> sa.ColumnElement[bool]:
     """A lease that ran out, or that no clock of today can have given: then the database's has jumped back.
 
-    A lease that this takes for lapsed too early costs work that is done twice, never a result: the attempt is the fence.
+    A lease that this takes for lapsed too early costs work that is done twice, never a result: the claim is the fence.
     """
     return _lapsed(_impossible(lease_s))
 
@@ -280,7 +283,7 @@ def _told_singly(kind: str, n_shards: int) -> bool:
 
 def _ours(held: Claim) -> dict[str, Any]:
     """Return the parameters of _OURS."""
-    return {"of_shard": held.shard_id, "held_attempt": held.attempt}
+    return {"of_shard": held.shard_id, "held_claim": held.claim}
 
 
 def _take_optimizer(tx: sa.Connection, job_id: str, shard_id: str, lease_s: float) -> int | None:
@@ -323,7 +326,7 @@ def _put(insert: Any) -> Any:
 
 _PUT = {"sqlite": _put(sqlite.insert), "postgresql": _put(postgresql.insert)}
 _OURS = (
-    (shard.c.id == sa.bindparam("of_shard")) & (shard.c.attempt == sa.bindparam("held_attempt"))
+    (shard.c.id == sa.bindparam("of_shard")) & (shard.c.claims == sa.bindparam("held_claim"))
     & (shard.c.state == "running")
 )  # fmt: skip
 _OF_SHARD = (
@@ -342,10 +345,11 @@ _TAKE = (
         (shard.c.state == "ready") | _lapsed(sa.bindparam("impossible", type_=sa.Double)),
     )
     .values(
-        state="running", attempt=shard.c.attempt + 1, lease_until=now() + sa.bindparam("lease", type_=sa.Double),
-        worker=sa.bindparam("new_worker"), host=sa.bindparam("new_host"),
+        state="running", attempt=shard.c.attempt + 1, claims=shard.c.claims + 1,
+        lease_until=now() + sa.bindparam("lease", type_=sa.Double), worker=sa.bindparam("new_worker"),
+        host=sa.bindparam("new_host"),
     )
-    .returning(shard.c.tenant_id, shard.c.kind, shard.c.ordinal, shard.c.queue, shard.c.params, shard.c.attempt)
+    .returning(*(shard.c[n] for n in ("tenant_id", "kind", "ordinal", "queue", "params", "attempt", "claims")))
 )  # fmt: skip
 _LOCK_HOST = sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(sa.bindparam("host", type_=sa.String))))
 _HELD = sa.select(sa.func.coalesce(sa.func.sum(shard.c.need_bytes), 0)).where(

@@ -326,7 +326,8 @@ shard = sa.Table(
     sa.Column("params", sa.JSON, nullable=False),  # what `plan` said, null for plan and merge
     sa.Column("key", sa.String(80), nullable=True),  # digest of all that shapes the result; known once it is claimed
     sa.Column("state", sa.String(10), nullable=False),
-    sa.Column("attempt", sa.Integer, nullable=False),
+    sa.Column("attempt", sa.Integer, nullable=False),  # claims that count: of those that were handed back none does
+    sa.Column("claims", sa.BigInteger, nullable=False, server_default="0"),  # fence: grows with every claim
     _at("lease_until"),
     sa.Column("ready_at", sa.Double, default=now(), nullable=True),  # since when it could run; ahead: it was put off
     sa.Column("put_off", sa.SmallInteger, nullable=False, server_default="0"),  # how often, for want of disk or store
