@@ -35,17 +35,12 @@ def run(args: argparse.Namespace) -> int:
     from farfield.evaluation.certificate import build_certificate, write_certificate
     from farfield.evaluation.verify import refuted, verify
 
-    if args.views < 1:
-        raise SettingsInvalid("--views", "must be at least 1")
-    if args.seed < 0:
-        raise SettingsInvalid("--seed", "must be at least 0")
-    if args.climb < 0:
-        raise SettingsInvalid("--climb", "must be at least 0")
-    if args.pictures < 0:
-        raise SettingsInvalid("--pictures", "must be at least 0")
+    for name, least in (("views", 1), ("seed", 0), ("climb", 0), ("bound", 0), ("pictures", 0)):
+        if getattr(args, name) < least:
+            raise SettingsInvalid(f"--{name}", f"must be at least {least}")
     found = verify(args.folder, views=args.views, seed=args.seed, climbs=args.climb)
     failed = refuted(found)
-    if args.bound > 0:
+    if args.bound:
         from farfield.evaluation.bound import bound_over_union
         from farfield.placementdb.read import Placement
 

@@ -199,7 +199,7 @@ def test_verify_exits_4_when_refuted(tmp_path: Path) -> None:
 
 
 def test_bad_use_and_missing_files_are_refused(tmp_path: Path) -> None:
-    for argv in (["--views", "0"], ["--seed", "-1"]):
+    for argv in (["--views", "0"], ["--seed", "-1"], ["--bound", "-1"]):
         args = arguments(verify_verb, "verify", str(tmp_path), *argv)
         with pytest.raises(SettingsInvalid):
             args.run(args)
