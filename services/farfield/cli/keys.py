@@ -15,7 +15,6 @@ from farfield.errors import SettingsInvalid
 if TYPE_CHECKING:
     import sqlalchemy as sa
 
-SCOPES = ("read", "submit", "admin")
 _SECONDS = {"h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
 
 
@@ -77,6 +76,7 @@ def _list(engine: "sa.Engine", args: argparse.Namespace) -> dict[str, Any]:
 
 def _create(engine: "sa.Engine", args: argparse.Namespace) -> dict[str, Any]:
     from farfield.store import tenants
+    from farfield.store.tables import SCOPES
 
     scopes = [scope.strip() for scope in args.scopes.split(",") if scope.strip()]
     if not scopes or not set(scopes) <= set(SCOPES):

@@ -32,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
 
     if "FARFIELD_DATABASE_URL" not in os.environ:
         raise ServiceError("set FARFIELD_DATABASE_URL; `farfield serve` migrates its own database")
+    if args.make_bucket and "FARFIELD_ARTIFACTS" not in os.environ:
+        raise ServiceError("set FARFIELD_ARTIFACTS to the address of the bucket to make")
     engine = open_engine(os.environ["FARFIELD_DATABASE_URL"])
     folder = Path(os.environ.get("FARFIELD_MIGRATIONS", Path(__file__).resolve().parents[3] / "migrations"))
     migrate(engine, folder, revision=args.to, patience_s=args.patience_s)

@@ -53,6 +53,14 @@ def test_nonsense_is_refused(data, capsys, words):
     assert "SettingsInvalid" in capsys.readouterr().err
 
 
+def test_a_bucket_without_an_address_is_refused_before_anything_is_migrated(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("FARFIELD_DATABASE_URL", f"sqlite:///{tmp_path / 'farfield.sqlite'}")
+    monkeypatch.delenv("FARFIELD_ARTIFACTS", raising=False)
+    assert main(["migrate", "--make-bucket"]) == 3
+    assert "FARFIELD_ARTIFACTS" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_unknown_key_is_refused_by_name(data, capsys):
     assert main(["keys", "revoke", "0" * 32, "--data", str(data[0])]) == 3
     assert "KeyNotFound" in capsys.readouterr().err
