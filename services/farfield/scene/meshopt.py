@@ -13,6 +13,7 @@ import numpy as np
 
 from farfield.errors import SceneIndexOutOfRange, SceneUnreadable
 from farfield.scene.accessors import Json
+from farfield.scene.limits import need
 
 EXTENSION = "EXT_meshopt_compression"
 _TAIL = 4  # bytes behind a sequence of indices
@@ -21,7 +22,7 @@ _TAIL = 4  # bytes behind a sequence of indices
 def view_bytes(view: dict[str, Any], buffer_of: Callable[[int], bytes], most: int, where: str) -> bytes | None:
     """Return what a compressed buffer view holds once decoded, None where it is not compressed.
 
-    most  bytes that it may have. Raises SceneUnreadable, SceneIndexOutOfRange.
+    most  bytes that it may have. Raises SceneUnreadable, SceneIndexOutOfRange, SceneOverLimit.
     """
     extensions = Json.table(view.get("extensions"), f"{where}: extensions of its bufferView")
     if EXTENSION not in extensions:
@@ -35,8 +36,7 @@ def view_bytes(view: dict[str, Any], buffer_of: Callable[[int], bytes], most: in
     mode, kind = row.get("mode"), row.get("filter", "NONE")
     if count * stride != Json.count(view.get("byteLength"), f"{where}: byteLength of its bufferView"):
         raise SceneUnreadable(f"{where}: {count} elements of {stride} bytes are not what its bufferView states.")
-    if count * stride > most:
-        raise SceneUnreadable(f"{where}: {count * stride} bytes are more than a level of this size may have.")
+    need(count * stride, most, "bytes in a compressed bufferView")
     whole = memoryview(buffer_of(Json.integer(row.get("buffer"), f"{where}.buffer")))
     if start + length > len(whole):
         raise SceneIndexOutOfRange(f"{where} ends {start + length - len(whole)} bytes past its buffer.")
