@@ -8,9 +8,9 @@
     │   └── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered, PlacementFileMissing
     ├── CalibrationError      measured frames that no device profile can be fitted to exit 3, HTTP 422
     │   └── SamplesInvalid, SamplesTooFew, SamplesDegenerate, DeviceNotCalibrated
-    ├── OutsideViewSpace      a camera position outside the view space               exit 2, HTTP 422
-    ├── DirectionInvalid      a view direction of length 0, or not finite            exit 2, HTTP 422
-    ├── ExportError           what is asked for cannot be exported                   exit 3, HTTP 422
+    ├── OutsideViewSpace      a camera position outside the view space               exit 3, HTTP 422
+    ├── DirectionInvalid      a view direction of length 0, or not finite            exit 3
+    ├── ExportError           what is asked for cannot be exported                   exit 3
     │   └── NothingToExport, ExportTooLarge
     ├── StoreError            a row or blob of the service
     │   ├── SceneNotFound, JobNotFound, PlacementNotFound, DeviceNotFound,
@@ -20,9 +20,9 @@
     │   ├── JobNotFinished, JobStillRunning, JobNotStopped, IdempotencyConflict,
     │   │   SceneInUse, TenantExists,
     │   │   DeviceExists                                                      exit 3, HTTP 409
-    │   ├── ArtifactMissing   a blob that a row names is not there                exit 1, HTTP 500
+    │   ├── ArtifactMissing   a blob that a row names is not there                exit 3, HTTP 500
     │   │   └── ArtifactDamaged   its bytes are not what its name says
-    │   └── ArtifactLost      ... and cannot be computed again                exit 1, HTTP 500
+    │   └── ArtifactLost      ... and cannot be computed again                exit 3, HTTP 500
     ├── QuotaExceeded         the tenant has as much as it may have              exit 3, HTTP 403
     │   └── RunningQuotaExceeded  as many jobs run as may at a time                      HTTP 429
     ├── WebhookError          an address that no webhook may have, or a forged delivery  exit 3, HTTP 422
