@@ -10,7 +10,7 @@ import type { PageArray } from "../gl/page_array";
 import fragmentSource from "../shaders/impostor_layers.fragment.glsl?raw";
 import vertexSource from "../shaders/impostor_layers.vertex.glsl?raw";
 import type { Vec3 } from "../placementdb/manifest";
-import { IDS, depthTerms, type View } from "./view";
+import { IDS, type View } from "./view";
 
 export interface DrawStats {
   calls: number;
@@ -83,12 +83,12 @@ export class ImpostorLayers {
     gl.uniform1i(program.uniform("u_slots"), 1);
     gl.uniform1i(program.uniform("u_pages"), 2);
     gl.uniformMatrix4fv(program.uniform("u_view_projection"), false, view.viewProjection);
-    const { eye, forward } = view.frame;
+    const { near, far, frame: { eye, forward } } = view;
     const { anchor } = chunk;
     gl.uniform3f(program.uniform("u_camera"), eye[0] - origin[0] - anchor[0], eye[1] - origin[1] - anchor[1], eye[2] - origin[2] - anchor[2]);
     gl.uniform3f(program.uniform("u_forward"), forward[0], forward[1], forward[2]);
-    const [x, y] = depthTerms(view);
-    gl.uniform2f(program.uniform("u_depth"), x, y);
+    // Depth in [0,1] of a point at distance z along forward is x + y / z.
+    gl.uniform2f(program.uniform("u_depth"), far / (far - near), (-far * near) / (far - near));
     gl.uniform1i(program.uniform("u_mode"), view.mode);
     gl.uniform3fv(program.uniform("u_tints"), TINTS);
     if (view.mode !== IDS && !this.masks) gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);

@@ -25,12 +25,6 @@ export function makeView(): View {
   };
 }
 
-/** Depth in [0,1] of a point at distance z along forward is x + y / z. */
-export function depthTerms(view: View): [number, number] {
-  const { near, far } = view;
-  return [far / (far - near), (-far * near) / (far - near)];
-}
-
 export function setViewProjection(view: View): void {
   const { frame, tanX, tanY, near, far, viewProjection: m } = view;
   const a = (far + near) / (far - near);

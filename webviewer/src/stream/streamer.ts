@@ -68,6 +68,7 @@ export class Streamer {
 
   /** Moves up to `most` decoded pages into video memory; called once a frame. */
   upload(most: number): void {
+    if (!this.decoded.length) return;
     for (let n = 0; n < most && this.decoded.length; n++) {
       const { page, content } = this.decoded.shift()!;
       if (this.wanted.has(page) && !this.pages.isResident(page)) this.pages.put(page, content, this.wanted);

@@ -82,7 +82,7 @@ export class App {
     this.connect();
     new ResizeObserver(() => this.fit()).observe(byId("main"));
     this.fit();
-    requestAnimationFrame((now) => this.frame(now));
+    requestAnimationFrame(this.frame);
   }
 
   /** Something that the picture shows has changed. */
@@ -194,8 +194,8 @@ export class App {
     this.touch();
   }
 
-  private frame(now: number): void {
-    requestAnimationFrame((later) => this.frame(later));
+  private readonly frame = (now: number): void => {
+    requestAnimationFrame(this.frame);
     const seconds = Math.min(0.1, (now - this.lastMs) / 1000);
     this.lastMs = now;
     this.clock.collect();
@@ -223,7 +223,7 @@ export class App {
       if (this.walks.recording || this.walks.replaying) this.walks.write();
       if (now - this.movedAt > REST_MS) this.lookAround();
     }
-  }
+  };
 
   private draw(): void {
     const { engine, clock } = this;

@@ -14,6 +14,7 @@ export class Walker {
   readonly velocity: Vec3 = [0, 0, 0];
   private readonly boxes: readonly Box[];
   private readonly stated: Vec3 = [0, 0, -1];
+  private readonly turned: Vec3 = [0, 0, -1];
   private exact = false; // the direction is the stated one
 
   constructor(boxes: readonly Box[]) {
@@ -28,11 +29,15 @@ export class Walker {
     this.position[1] = box[0][1] + this.height;
   }
 
-  /** A direction set from outside is used to the last bit until the walker turns. */
+  /** A direction set from outside is used to the last bit until the walker turns. Copy it to keep it: it is written in place. */
   get direction(): Vec3 {
     if (this.exact) return this.stated;
+    const { turned } = this;
     const flat = Math.cos(this.pitch);
-    return [-Math.sin(this.yaw) * flat, Math.sin(this.pitch), -Math.cos(this.yaw) * flat];
+    turned[0] = -Math.sin(this.yaw) * flat;
+    turned[1] = Math.sin(this.pitch);
+    turned[2] = -Math.cos(this.yaw) * flat;
+    return turned;
   }
 
   look(position: ArrayLike<number>, direction: ArrayLike<number>): void {
@@ -58,7 +63,8 @@ export class Walker {
 
   /** Moves by metres per second along (right, up, forward) for some seconds; walking keeps to the ground plane. */
   move(right: number, up: number, forward: number, seconds: number): void {
-    const before: Vec3 = [this.position[0], this.position[1], this.position[2]];
+    const { position, velocity } = this;
+    const [x, y, z] = position;
     const s = Math.sin(this.yaw);
     const c = Math.cos(this.yaw);
     const rise = this.free ? Math.sin(this.pitch) : 0;
@@ -73,7 +79,9 @@ export class Walker {
       this.position[1] = box[0][1] + this.height;
       clampToBoxes([box], this.position, this.position);
     }
-    for (let a = 0; a < 3; a++) this.velocity[a] = seconds > 0 ? (this.position[a] - before[a]) / seconds : 0;
+    velocity[0] = seconds > 0 ? (position[0] - x) / seconds : 0;
+    velocity[1] = seconds > 0 ? (position[1] - y) / seconds : 0;
+    velocity[2] = seconds > 0 ? (position[2] - z) / seconds : 0;
   }
 
   /** The box under the feet: nearest in the ground plane, then in height. Steps between floors are no obstacle. */

@@ -18,6 +18,7 @@ export interface Actions {
 export class Controls {
   private readonly held = new Set<string>();
   private stick: [number, number] = [0, 0];
+  private readonly motion: [number, number, number] = [0, 0, 0]; // right, up, forward
   private readonly walker: Walker;
 
   constructor(canvas: HTMLCanvasElement, touchStick: SVGElement | null, walker: Walker, actions: Actions) {
@@ -83,7 +84,10 @@ export class Controls {
 
   /** Advances the walker by the keys and the stick held; returns whether it moves. */
   advance(seconds: number): boolean {
-    const motion = [this.stick[0], 0, -this.stick[1]];
+    const { motion } = this;
+    motion[0] = this.stick[0];
+    motion[1] = 0;
+    motion[2] = -this.stick[1];
     for (const code of this.held) if (MOTION[code]) for (let a = 0; a < 3; a++) motion[a] += MOTION[code][a];
     const length = Math.hypot(motion[0], motion[1], motion[2]);
     const speed = length > 0 ? (SPEED_M_S * (this.held.has("Shift") ? FAST : 1)) / Math.max(1, length) : 0;

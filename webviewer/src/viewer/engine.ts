@@ -27,6 +27,7 @@ const decodeSrgb = (x: number): number => (x <= 0.04045 ? x / 12.92 : ((x + 0.05
 
 export const PAGE_BYTES_CAP = 384 * 2 ** 20;
 const NEAR_M = 0.1;
+const BLACK: Modes["background"] = [0, 0, 0];
 const SHAFT_M = 200; // of a shaft without end, as a wire frame
 const INTERVAL_M = 40;
 
@@ -67,6 +68,8 @@ export class Engine {
     cell: -1, interval: -1, chunk: -1, problemView: null, hopeless: false, costBound: 0, impostors: 0, shown: [], needed: [], waiting: true,
   };
   readonly drawn: DrawStats = { calls: 0, triangles: 0 };
+  /** Rises whenever what a view shows may have changed. */
+  version = 0;
   readonly view: View = makeView();
   selection: Selection;
   private readonly target: PictureTarget;
@@ -79,7 +82,7 @@ export class Engine {
   private readonly cellLines: CellLines;
   private readonly pickedLines: WireLines;
   private readonly heldLines: WireLines;
-  private key = "";
+  private readonly locatedFor = new Float64Array(5).fill(NaN);
   private readonly canvas: HTMLCanvasElement;
   private readonly local: Vec3 = [0, 0, 0];
 
@@ -110,9 +113,16 @@ export class Engine {
       s.chunk = s.cell < 0 ? -1 : chunkOfCell(manifest, s.cell);
     }
     const chunk = s.chunk < 0 ? null : (this.placement.residentChunk(s.chunk) ?? null);
-    const key = `${s.cell} ${s.interval} ${chunk ? chunk.number : -1} ${this.pages.version} ${this.modes.impostors}`;
-    if (key === this.key) return false;
-    this.key = key;
+    const was = this.locatedFor;
+    const number = chunk ? chunk.number : -1;
+    const impostors = this.modes.impostors ? 1 : 0;
+    if (was[0] === s.cell && was[1] === s.interval && was[2] === number && was[3] === this.pages.version && was[4] === impostors) return false;
+    was[0] = s.cell;
+    was[1] = s.interval;
+    was[2] = number;
+    was[3] = this.pages.version;
+    was[4] = impostors;
+    this.version++;
     const view = chunk && s.cell >= 0 ? viewInChunk(chunk, s.cell, s.interval) : -1;
     const list = chunk && view >= 0 ? impostorsOfView(chunk, view) : [];
     s.impostors = list.length;
@@ -134,11 +144,6 @@ export class Engine {
     this.geometry.setView(s.cell, visible, null, []);
     this.layers.setShown(chunk && shown.length ? this.buffersOf(chunk) : null, shown);
     return true;
-  }
-
-  /** Another one whenever what a view shows may have changed. */
-  get version(): string {
-    return this.key;
   }
 
   /** Takes a cell and interval as if the camera stood there, to be held; false where there are none such. */
@@ -184,15 +189,15 @@ export class Engine {
     const { width, height } = this.canvas;
     this.view.mode = modes.layers ? TINTED : PICTURE;
     this.bind();
-    this.clear(modes.background.map(decodeSrgb));
+    this.clear(modes.background);
     this.drawn.calls = this.drawn.triangles = 0;
     const compared = modes.split || modes.beside;
     const cut = modes.beside ? width >> 1 : Math.round(width * modes.splitAt);
     const shift = modes.beside ? Math.round(width / 4) : 0;
-    this.drawSide(this.selection, true, compared ? [0, 0, cut, height] : null, -shift);
+    this.drawSide(this.selection, true, 0, compared ? cut : width, -shift);
     if (compared) {
       const { calls, triangles } = this.drawn;
-      this.drawSide(this.geometry.select(this.frustum), false, [cut, 0, width - cut, height], shift);
+      this.drawSide(this.geometry.select(this.frustum), false, cut, width, shift);
       this.drawn.calls = calls;
       this.drawn.triangles = triangles;
     }
@@ -211,27 +216,28 @@ export class Engine {
   /** Draws impostor ids (+ 1) as colours, everything else black, and returns the pixels (RGBA, bottom row first). */
   drawIds(position: Vec3, direction: Vec3): Uint8Array {
     this.prepare(position, direction);
-    const { gl } = this;
-    const { width, height } = this.canvas;
     this.view.mode = IDS;
     this.bind();
-    this.clear([0, 0, 0]);
-    this.drawSide(this.selection, true, null);
-    const out = new Uint8Array(4 * width * height);
-    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
-    return out;
+    this.clear(BLACK);
+    this.drawSide(this.selection, true, 0, this.canvas.width);
+    return this.pixels();
   }
 
   /** Draws the plain picture, with impostors or geometry alone, into the canvas; returns it (RGBA, bottom row first). */
   drawPlain(position: Vec3, direction: Vec3, impostors: boolean): Uint8Array {
     this.prepare(position, direction);
-    const { gl } = this;
-    const { width, height } = this.canvas;
     this.view.mode = PICTURE;
     this.bind();
-    this.clear(this.modes.background.map(decodeSrgb));
-    this.drawSide(impostors ? this.selection : this.geometry.select(this.frustum), impostors, null);
+    this.clear(this.modes.background);
+    this.drawSide(impostors ? this.selection : this.geometry.select(this.frustum), impostors, 0, this.canvas.width);
     this.target.show();
+    return this.pixels();
+  }
+
+  /** What the canvas shows (RGBA, bottom row first). */
+  private pixels(): Uint8Array {
+    const { gl } = this;
+    const { width, height } = this.canvas;
     const out = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
     return out;
@@ -259,27 +265,24 @@ export class Engine {
     else this.target.bind(this.canvas.width, this.canvas.height);
   }
 
-  private clear(color: readonly number[]): void {
+  private clear(color: Modes["background"]): void {
     const { gl } = this;
     gl.disable(gl.SCISSOR_TEST);
     gl.colorMask(true, true, true, true);
     gl.depthMask(true);
-    gl.clearColor(color[0], color[1], color[2], 1);
+    gl.clearColor(decodeSrgb(color[0]), decodeSrgb(color[1]), decodeSrgb(color[2]), 1);
     gl.clearDepth(1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   }
 
-  private drawSide(selection: Selection, withImpostors: boolean, scissor: [number, number, number, number] | null, shift = 0): void {
+  /** Columns `from` to `to` of the picture, which is moved to the right by `shift` pixels. */
+  private drawSide(selection: Selection, withImpostors: boolean, from: number, to: number, shift = 0): void {
     const { gl, view, level } = this;
     const { width, height } = this.canvas;
     if (withImpostors) {
       gl.viewport(shift, 0, width, height);
-      if (scissor) {
-        gl.enable(gl.SCISSOR_TEST);
-        gl.scissor(...scissor);
-      } else {
-        gl.disable(gl.SCISSOR_TEST);
-      }
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(from, 0, to - from, height);
       // Impostors first: blended geometry must come over them.
       this.layers.draw(view, this.pages, this.placement.manifest.origin_m, this.drawn);
     }
@@ -287,8 +290,8 @@ export class Engine {
     renderer.resetState();
     this.bind();
     renderer.setViewport(shift, 0, width, height);
-    renderer.setScissorTest(scissor !== null);
-    if (scissor) renderer.setScissor(...scissor);
+    renderer.setScissorTest(true);
+    renderer.setScissor(from, 0, to - from, height);
     if (level.ready) level.draw(view, selection, this.drawn);
   }
 
