@@ -11,8 +11,8 @@ from pathlib import Path
 
 from farfield.columns import files_parts
 from farfield.errors import SceneEmpty
-from farfield.pipeline import Step
 from farfield.stages import Queue, Stage
+from farfield.steps.model import Step
 from farfield_workers.table import Pipeline
 
 OPTIONAL = frozenset({Stage.EVALUATION, Stage.PROOF})

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import FarfieldError, StageFailed
-from farfield.pipeline import STEPS, Inputs, Shard, Step, shard_key
+from farfield.pipeline import STEPS
 from farfield.settings import Settings
 from farfield.stages import Stage
+from farfield.steps.model import Inputs, Shard, Step, shard_key
 
 # One thread a process: numba and the software rasteriser collapse when more threads than cores run.
 THREADS = {"NUMBA_NUM_THREADS": "1", "LP_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

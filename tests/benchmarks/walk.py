@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from farfield.executor import file_digest, map_file, peak_bytes, reset_peak, write_parts
-from farfield.pipeline import STEPS, Inputs
+from farfield.pipeline import STEPS
 from farfield.settings import Settings, from_mapping
 from farfield.stages import Stage
+from farfield.steps.model import Inputs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,9 +22,9 @@ from typing import Any
 import farfield.errors
 from farfield.errors import FailedElsewhere, FarfieldError, StageFailed
 from farfield.executor import StageRun, map_file, peak_bytes, reset_peak
-from farfield.pipeline import Inputs
 from farfield.settings import Settings, from_mapping
 from farfield.stages import Stage
+from farfield.steps.model import Inputs
 
 from farfield_workers.children import die_with_parent
 from farfield_workers.table import Pipeline, load_pipeline

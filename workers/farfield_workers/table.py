@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from farfield.executor import StageRun
-from farfield.pipeline import STEPS, Inputs, Step
+from farfield.pipeline import STEPS
 from farfield.stages import Stage
+from farfield.steps.model import Inputs, Step
 from farfield.store.progress import StageKind
 
 

@@ -17,9 +17,9 @@ from rich.console import Console
 from farfield.cli.progress import stage_bars
 from farfield.errors import FarfieldError, SceneNotAFile, SettingsInvalid
 from farfield.executor import Executor
-from farfield.pipeline import write_files
 from farfield.settings import Settings, check, from_mapping
 from farfield.stages import Stage
+from farfield.steps.result import write_files
 
 WRITTEN = ("scene.glb", "report.json", "placement")  # what a job leaves in its folder
 

@@ -31,7 +31,7 @@ WORST_VIEWS, HOPELESS_VIEWS, CULPRITS = 16, 100, 32
 
 
 class JobInputs(Protocol):
-    """What `farfield.pipeline.Inputs` offers: settings, and the artifacts of all stages that ran."""
+    """What `farfield.steps.model.Inputs` offers: settings, and the artifacts of all stages that ran."""
 
     @property
     def settings(self) -> Settings: ...

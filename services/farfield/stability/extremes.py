@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from farfield.errors import FarfieldError
-from farfield.pipeline import write_files
 from farfield.stability.level import FACES, Level, street
 from farfield.stability.parts import SETUPS, layers_of, many_views
 from farfield.stability.run import Run, run
 from farfield.stages import Stage
+from farfield.steps.result import write_files
 
 LIMIT_S = 60.0
 VIEWS, CLIMBS = 300, 4

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from farfield.pipeline import STEPS, Inputs
+from farfield.pipeline import STEPS
 from farfield.settings import Settings
 from farfield.stages import Stage
+from farfield.steps.model import Inputs
 
 
 @dataclass

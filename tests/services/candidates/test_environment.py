@@ -15,7 +15,6 @@ from farfield.evaluation.verify import verify
 from farfield.geometry.cells import build_cells
 from farfield.hierarchy.build import build_hierarchy
 from farfield.impostor.plan import precision
-from farfield.pipeline import write_files
 from farfield.placement.greedy import place
 from farfield.placement.repair import verdict
 from farfield.placementdb.read import Placement
@@ -23,6 +22,7 @@ from farfield.rendertime.cost import build_cost_model
 from farfield.settings import Settings, from_mapping
 from farfield.stability.run import run
 from farfield.stages import Stage
+from farfield.steps.result import write_files
 from farfield.viewspace.split import find_problem_views
 from farfield.visibility.model import VisibleSets
 from naive import environment as naive

@@ -1,9 +1,10 @@
 """Keys of shards: what shapes a stage's bytes is in them."""
 
 import pytest
-from farfield.pipeline import STEPS, Inputs, shard_key
+from farfield.pipeline import STEPS
 from farfield.settings import from_mapping
 from farfield.stages import Stage
+from farfield.steps.model import Inputs, shard_key
 
 
 @pytest.mark.parametrize(

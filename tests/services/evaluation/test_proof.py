@@ -14,11 +14,13 @@ from farfield.evaluation.proof import judge, prove
 from farfield.evaluation.proof.merge import PICTURES, merge_proofs, upper_share
 from farfield.evaluation.proof.pairs import Shown, rect_of
 from farfield.executor import file_digest
-from farfield.pipeline import STEPS, Inputs, write_files
+from farfield.pipeline import STEPS
 from farfield.placementdb.read import Placement
 from farfield.scene.write import write_glb
 from farfield.settings import from_mapping
 from farfield.stages import Stage
+from farfield.steps.model import Inputs
+from farfield.steps.result import write_files
 from towns import town
 
 SETTINGS = from_mapping({

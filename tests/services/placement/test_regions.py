@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from benchmarks.inputs import town_level
 from farfield.columns import pack_dataclass, unpack_dataclass
-from farfield.pipeline import STEPS, Inputs, shard_key
+from farfield.pipeline import STEPS
 from farfield.placement.greedy import cells_alone, place
 from farfield.placement.model import Placement
 from farfield.placement.regions import choose_in_region, plan_regions, within
 from farfield.settings import PlacementSettings, Settings
 from farfield.stages import Stage
+from farfield.steps.model import Inputs, shard_key
 from naive import greedy as naive
 
 from .instances import random_instance, same_refit

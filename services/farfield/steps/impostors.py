@@ -1,0 +1,173 @@
+"""Stages 7 to 9: which impostors could be built, which are, and what they show and weigh."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from farfield.columns import Parts, dataclass_parts, unpack_dataclass
+from farfield.stages import Stage
+from farfield.steps.model import ONE, Inputs, Shard, cells_of
+
+if TYPE_CHECKING:
+    from farfield.placement.checkpoint import Checkpoint
+
+
+# 7 candidates -------------------------------------------------------------------------------------------------------
+
+
+def _with_maps(inputs: Inputs) -> bool:
+    return inputs.settings.placement.candidates == "environment"
+
+
+def candidates_plan(inputs: Inputs) -> list[Shard]:
+    if _with_maps(inputs):
+        from farfield.candidates.environment import plan_shards as cells_shards
+
+        return [[a, b] for a, b in cells_shards(inputs.get(Stage.VIEWSPACE))]
+    from farfield.candidates.generate import plan_shards
+
+    return [[int(a), int(b)] for a, b in plan_shards(inputs.get(Stage.HIERARCHY))]
+
+
+def candidates(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.candidates.environment import generate_maps
+    from farfield.candidates.generate import generate
+
+    if _with_maps(inputs):
+        maps = generate_maps(
+            inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs), inputs.get(Stage.VIEWSPACE),
+            settings=inputs.settings, leaves=(shard[0], shard[1]),
+        )  # fmt: skip
+        return dataclass_parts(maps)
+    found = generate(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VIEWSPACE), settings=inputs.settings, nodes=(shard[0], shard[1]),
+    )  # fmt: skip
+    return dataclass_parts(found)
+
+
+def candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.candidates.environment import merge
+    from farfield.candidates.generate import merged_parts
+    from farfield.candidates.model import Candidates
+
+    if _with_maps(inputs) and artifacts:
+        return dataclass_parts(merge([unpack_dataclass(Candidates, a) for a in artifacts]))
+    return merged_parts([unpack_dataclass(Candidates, a) for a in artifacts])
+
+
+# 8 placement --------------------------------------------------------------------------------------------------------
+
+
+def placement_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.placement.regions import plan_regions
+
+    regions = []
+    if inputs.settings.placement.regions > 1 and not _with_maps(inputs):
+        regions = plan_regions(cells_of(inputs), inputs.get(Stage.VIEWSPACE), inputs.settings.placement.regions)
+    return [[a, b] for a, b in regions] if len(regions) > 1 else ONE
+
+
+def placement(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.greedy import cells_alone
+    from farfield.placement.regions import choose_in_region
+
+    if shard == ONE[0]:
+        return _place(inputs, [])
+    hierarchy, model, views = inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.VIEWSPACE)
+    chosen = choose_in_region(
+        hierarchy, model, views, inputs.get(Stage.CANDIDATES), settings=inputs.settings, region=(shard[0], shard[1]),
+        alone=cells_alone(hierarchy, model, cells_of(inputs), views, inputs.settings), checkpoint=_checkpoint(inputs),
+    )  # fmt: skip
+    return dataclass_parts(chosen)
+
+
+def placement_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    return [memoryview(artifacts[0])] if len(artifacts) == 1 else _place(inputs, artifacts)
+
+
+def _place(inputs: Inputs, regions: Sequence[Any]) -> Parts:
+    from farfield.placement.greedy import place
+    from farfield.placement.model import RegionChoice
+
+    choices = [unpack_dataclass(RegionChoice, a) for a in regions]
+    # What regions chose that a clock stopped is not in the key that names the checkpoint.
+    checkpoint = None if any(choice.stopped for choice in choices) else _checkpoint(inputs)
+    placement = place(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), settings=inputs.settings, regions=choices,
+        checkpoint=checkpoint,
+    )  # fmt: skip
+    return dataclass_parts(placement)
+
+
+def _checkpoint(inputs: Inputs) -> "Checkpoint | None":
+    from farfield.placement.checkpoint import Checkpoint
+
+    return Checkpoint(inputs.checkpoint) if inputs.checkpoint is not None else None
+
+
+# 9 bake -------------------------------------------------------------------------------------------------------------
+
+
+def nothing_chosen(inputs: Inputs) -> str | None:
+    return None if len(inputs.get(Stage.PLACEMENT).cluster) else "no impostor was chosen"
+
+
+def bake_plan(inputs: Inputs) -> list[Shard]:
+    from farfield.bake.bake import plan_batches
+
+    return [[int(a), int(b)] for a, b in plan_batches(inputs.get(Stage.PLACEMENT))]
+
+
+def bake(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.bake.bake import bake_batch
+
+    baked = bake_batch(
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.PLACEMENT),
+        settings=inputs.settings, impostors=(shard[0], shard[1]), renderer="auto",
+    )  # fmt: skip
+    return dataclass_parts(baked)
+
+
+def bake_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.bake.bake import merge
+    from farfield.bake.model import BakedLayers
+
+    return dataclass_parts(merge([unpack_dataclass(BakedLayers, a) for a in artifacts]))
+
+
+def repair(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.repair import repair
+
+    baked = inputs.get(Stage.BAKE)
+    mended = repair(
+        inputs.get(Stage.PLACEMENT), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
+        inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), measured_bytes=baked.bytes, measured_cost=baked.cost,
+        layers=np.diff(baked.layer_row).astype(np.int32),
+    )  # fmt: skip
+    return dataclass_parts(mended)
+
+
+def bound_skip(inputs: Inputs) -> str | None:
+    off = "placement.bound is off" if inputs.settings.placement.bound == "off" else None
+    whole = "environment maps are placed whole: nothing was chosen" if _with_maps(inputs) else None
+    return off or whole or nothing_chosen(inputs)
+
+
+def bound(inputs: Inputs, shard: Shard) -> Parts:
+    from farfield.placement.bound import bound_of
+
+    found = bound_of(
+        inputs.get(Stage.PLACEMENT), inputs.get(Stage.HIERARCHY), inputs.get(Stage.VIEWSPACE),
+        inputs.get(Stage.CANDIDATES), method=inputs.settings.placement.bound,
+    )  # fmt: skip
+    return dataclass_parts(found)
+
+
+def bound_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
+    from farfield.placement.model import Bound
+
+    none = Bound(method="none", lower_bytes=0, placed_bytes=0, choices=0)
+    return dataclass_parts(unpack_dataclass(Bound, artifacts[0]) if artifacts else none)
