@@ -10,7 +10,7 @@ import pytest
 import sqlalchemy as sa
 from farfield.errors import JobStillRunning
 from farfield.stages import Stage
-from farfield.store import events, jobs, progress, shards
+from farfield.store import collect, events, jobs, progress, shards
 from farfield.store.engine import now, read, write
 from farfield.store.tables import job, shard, stage
 
@@ -256,14 +256,14 @@ def test_deleting_a_job_keeps_what_others_need(in_process):
     in_process.run(message)
     second, message = in_process.submit(budget="300 calls")
     in_process.run(message)
-    said, none = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=True)
-    assert none == []
-    done, digests = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=False, remove=bool)
-    assert done == said
+    said = jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=True)
+    assert collect.collect(in_process.engine, in_process.artifacts, grace_s=0.0).removed == 0
+    assert jobs.delete(in_process.engine, in_process.tenant_id, second, dry_run=False) == said
+    done = collect.collect(in_process.engine, in_process.artifacts, grace_s=0.0)
     # Its report, its files, their proof and evaluation, and the plan of neither: those bytes are the first job's, too.
-    assert len(digests) == said["artifacts"] == 4
-    kept = {s["artifact"] for s in in_process.stages(first).values()}
-    assert not kept & set(digests)
+    assert (done.removed, done.removed_bytes) == (4, said["bytes"])
+    assert said["artifacts"] == 4
+    assert all(in_process.artifacts.has(s["artifact"]) for s in in_process.stages(first).values())
 
 
 def test_what_another_tenant_has_computed_is_computed_again(in_process):
@@ -357,8 +357,8 @@ def test_a_result_deleted_with_another_job_is_computed_again(in_process):
 
     def late(*args, **more):
         if not deleted:
-            deleted.append(jobs.delete(in_process.engine, in_process.tenant_id, first, dry_run=False,
-                                       remove=in_process.artifacts.remove))  # fmt: skip
+            deleted.append(jobs.delete(in_process.engine, in_process.tenant_id, first, dry_run=False))
+            assert collect.collect(in_process.engine, in_process.artifacts, grace_s=0.0).removed
         return commit(*args, **more)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -143,7 +143,7 @@ def delete(job_id: Id, request: Request, caller: Submitter, service: Service, dr
     def expect(row: Any) -> None:
         expect_match(request, _detail(row, jobs.stages_of(service.engine, job_id)))
 
-    counts, _ = jobs.delete(service.engine, caller.tenant_id, job_id, dry_run=dry_run, expect=expect)
+    counts = jobs.delete(service.engine, caller.tenant_id, job_id, dry_run=dry_run, expect=expect)
     return JobDeleted(deleted=not dry_run, **counts)
 
 

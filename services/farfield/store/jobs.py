@@ -22,7 +22,7 @@ from farfield.store.pages import Cursor, holding, newest_first, owned
 from farfield.store.progress import Message, drop_shards
 from farfield.store.quotas import Quota
 from farfield.store.shards import lock_job
-from farfield.store.tables import PRIORITIES, SHARD_STATES, artifact, event, job, scene, shard, stage, tenant, webhook
+from farfield.store.tables import PRIORITIES, SHARD_STATES, event, job, scene, shard, stage, tenant, webhook
 
 ENDED = ("done", "failed", "cancelled")
 NO_QUOTA = Quota()
@@ -235,15 +235,13 @@ _AT = (("report", "reporting"), ("merge", "merging"), ("run", "running"), ("plan
 
 
 def delete(
-    engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool, remove: Callable[[str], object] | None = None,
-    expect: Callable[[sa.Row[Any]], object] = bool,
-) -> tuple[dict[str, int], list[str]]:  # fmt: skip
-    """Delete an ended job; return (what goes with it, digests that were removed).
+    engine: sa.Engine, tenant_id: str, job_id: str, *, dry_run: bool, expect: Callable[[sa.Row[Any]], object] = bool
+) -> dict[str, int]:
+    """Delete an ended job and return what goes with it; its blobs are left to the collection of garbage.
 
     What goes with it is counted within the tenant: artifacts and bytes that no other job or scene of it needs. Whether
     another tenant has the same bytes cannot be told from it.
 
-    remove  removes a blob that nobody needs any more; None leaves that to the collection of garbage
     expect  is called with the job's row, and may refuse
     Raises JobNotFound, JobStillRunning.
     """
@@ -261,37 +259,11 @@ def delete(
             "artifacts": number, "bytes": n_bytes,
         }  # fmt: skip
         if dry_run:
-            return counts, []
-        lone = [digest for digest, _ in _only_of(tx, job_id)] if remove is not None else []
+            return counts
         for table in (event, shard, stage):
             tx.execute(sa.delete(table).where(table.c.job_id == job_id))
         tx.execute(sa.delete(job).where(job.c.id == job_id))
-        for start in range(0, len(lone), 500):
-            tx.execute(sa.delete(artifact).where(artifact.c.digest.in_(lone[start : start + 500])))
-        for digest in lone:
-            assert remove is not None
-            remove(digest)
-        return counts, lone
-
-
-def _only_of(tx: sa.Connection, job_id: str) -> list[tuple[str, int]]:
-    here = sa.union(
-        sa.select(shard.c.artifact_digest.label("digest")).where(shard.c.job_id == job_id),
-        sa.select(stage.c.artifact_digest).where(stage.c.job_id == job_id),
-        sa.select(job.c.report_digest).where(job.c.id == job_id),
-    ).subquery()
-    elsewhere = [
-        sa.select(shard.c.id).where(shard.c.job_id != job_id, shard.c.artifact_digest == artifact.c.digest),
-        sa.select(stage.c.id).where(stage.c.job_id != job_id, stage.c.artifact_digest == artifact.c.digest),
-        sa.select(job.c.id).where(job.c.id != job_id, job.c.report_digest == artifact.c.digest),
-        sa.select(scene.c.digest).where(
-            sa.or_(*(c == artifact.c.digest for c in (scene.c.digest, scene.c.inspect_digest, scene.c.picture_digest)))
-        ),
-    ]
-    query = sa.select(artifact.c.digest, artifact.c.n_bytes).where(
-        artifact.c.digest.in_(sa.select(here.c.digest)), *(~q.exists() for q in elsewhere)
-    )
-    return [(r.digest, r.n_bytes) for r in tx.execute(query)]
+        return counts
 
 
 def _row(tx: sa.Connection, tenant_id: str, job_id: str) -> sa.Row[Any]:
