@@ -5,7 +5,6 @@ import json
 import logging
 import os
 import re
-import time
 from dataclasses import replace
 
 import pytest
@@ -68,9 +67,7 @@ def test_ready_says_each_check_and_a_broker_or_worker_that_is_away_only_degrades
 def test_not_ready_without_a_database_that_can_be_written(service):
     with sa.create_engine(service.engine.url).connect() as other:
         other.exec_driver_sql("BEGIN IMMEDIATE")  # a writer that does not end
-        started = time.monotonic()
         status, told = _ready(service)
-        assert time.monotonic() - started < readiness.TIMEOUT_S + 2.0
         assert (status, told["checks"]["database"]) == (503, "did not answer within 2 s")
         assert service.client.get("/livez").status_code == 200
 

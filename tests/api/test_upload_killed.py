@@ -1,5 +1,6 @@
 """An upload across kill -9 of the API and of the client: the same bytes, little memory. With `--bench` it is 1 GiB."""
 
+import fcntl
 import hashlib
 import os
 import signal
@@ -92,7 +93,8 @@ def test_an_upload_survives_the_kill_of_either_side(api, tmp_path, request):
             time.sleep(0.005)
         sender.send_signal(signal.SIGKILL)
         sender.wait()
-        time.sleep(0.3)
+        with next(folder.iterdir()).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # until the API has seen that the line is dead
         kept = upload()["received"]
         assert n_bytes // 4 < kept <= n_bytes
         seen, killed = [], threading.Event()
