@@ -190,6 +190,26 @@ def postgres_template(postgres: Postgres) -> str:
 
 
 @pytest.fixture(scope="session")
+def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A SQLite database with our tables, to be copied."""
+    path = tmp_path_factory.mktemp("database") / "farfield.sqlite"
+    engine = open_engine(f"sqlite:///{path}")
+    migrate(engine, MIGRATIONS)
+    engine.dispose()
+    return path
+
+
+@pytest.fixture
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """The address of a fresh database with our tables: of SQLite, or of PostgreSQL by the parameter "postgres"."""
+    if getattr(request, "param", "sqlite") == "postgres" or request.config.getoption("--postgres"):
+        server = request.getfixturevalue("postgres")
+        return str(server.new(request.getfixturevalue("postgres_template")))
+    shutil.copy(request.getfixturevalue("empty_database"), tmp_path)
+    return f"sqlite:///{tmp_path / 'farfield.sqlite'}"
+
+
+@pytest.fixture(scope="session")
 def broker() -> Iterator[str]:
     with run_broker() as url:
         yield url

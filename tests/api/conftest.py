@@ -1,7 +1,6 @@
 """The API over a fresh database, in this process, with keys of two tenants; no broker answers."""
 
 import json
-import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,7 @@ from farfield.store import tenants
 from farfield.store.engine import open_engine
 from farfield_api.app import make_app
 from farfield_api.settings import ApiSettings
-from farfield_workers.serve import migrate
-from servers import postgres, postgres_template  # noqa: F401  (fixtures)
+from servers import database, empty_database, postgres, postgres_template  # noqa: F401  (fixtures)
 from starlette.testclient import TestClient
 
 TESTS = Path(__file__).parents[1]
@@ -47,15 +45,6 @@ def bearer(key):
     return {"authorization": f"Bearer {key}"}
 
 
-@pytest.fixture(scope="session")
-def empty_database(tmp_path_factory):
-    path = tmp_path_factory.mktemp("database") / "farfield.sqlite"
-    engine = open_engine(f"sqlite:///{path}")
-    migrate(engine, TESTS.parent / "migrations")
-    engine.dispose()
-    return path
-
-
 ON_BOTH = {  # tests of what databases do differently: they run on PostgreSQL, too
     "test_a_job_from_submit_to_placement",
     "test_an_idempotency_key_makes_one_job",
@@ -76,17 +65,7 @@ def pytest_generate_tests(metafunc):
 
 
 @pytest.fixture
-def database(request, tmp_path):
-    """The address of a fresh database with our tables."""
-    if getattr(request, "param", "sqlite") == "postgres" or request.config.getoption("--postgres"):
-        server = request.getfixturevalue("postgres")
-        return server.new(request.getfixturevalue("postgres_template"))
-    shutil.copy(request.getfixturevalue("empty_database"), tmp_path)
-    return f"sqlite:///{tmp_path / 'farfield.sqlite'}"
-
-
-@pytest.fixture
-def service(tmp_path, database):
+def service(tmp_path, database):  # noqa: F811  (a fixture)
     engine = open_engine(database)
     tenant_id = tenants.create_tenant(engine, "toy")
     key = tenants.create_key(engine, tenant_id, "test", ("read", "submit", "admin"))

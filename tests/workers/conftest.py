@@ -1,7 +1,6 @@
 """A service without processes: a database, a store, the toy pipeline, and a worker that is a function call."""
 
 import json
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +11,9 @@ from farfield.stages import Stage
 from farfield.store import jobs, scenes, tenants
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
-from farfield_workers.serve import migrate
 from farfield_workers.settings import WorkerSettings
 from farfield_workers.work import work
-from servers import postgres, postgres_template  # noqa: F401  (fixtures)
+from servers import database, empty_database, postgres, postgres_template  # noqa: F401  (fixtures)
 
 
 @dataclass
@@ -55,15 +53,6 @@ class Bench:
         return {s["name"]: s for s in jobs.stages_of(self.engine, job_id)}
 
 
-@pytest.fixture(scope="session")
-def empty_database(tmp_path_factory):
-    path = tmp_path_factory.mktemp("database") / "farfield.sqlite"
-    engine = open_engine(f"sqlite:///{path}")
-    migrate(engine, Path(__file__).parents[2] / "migrations")
-    engine.dispose()
-    return path
-
-
 ON_BOTH = {  # tests of what databases do differently: they run on PostgreSQL, too
     "test_a_job_passes_every_stage_and_ends_with_a_verdict",
     "test_events_are_numbered_without_gaps_and_end_with_the_job",
@@ -90,17 +79,7 @@ def pytest_generate_tests(metafunc):
 
 
 @pytest.fixture
-def database(request, tmp_path):
-    """The address of a fresh database with our tables."""
-    if getattr(request, "param", "sqlite") == "postgres" or request.config.getoption("--postgres"):
-        server = request.getfixturevalue("postgres")
-        return server.new(request.getfixturevalue("postgres_template"))
-    shutil.copy(request.getfixturevalue("empty_database"), tmp_path)
-    return f"sqlite:///{tmp_path / 'farfield.sqlite'}"
-
-
-@pytest.fixture
-def bench(tmp_path, monkeypatch, database):
+def bench(tmp_path, monkeypatch, database):  # noqa: F811  (a fixture)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # for the isolated process
     url = database
     engine = open_engine(url)
