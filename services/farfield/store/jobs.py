@@ -21,7 +21,7 @@ from farfield.store.engine import new_id, now, read, write
 from farfield.store.pages import Cursor, holding, newest_first, owned
 from farfield.store.progress import Message, drop_shards
 from farfield.store.quotas import Quota
-from farfield.store.shards import lock_job
+from farfield.store.shards import anew, lock_job
 from farfield.store.tables import PRIORITIES, SHARD_STATES, event, job, scene, shard, stage, tenant, webhook
 
 ENDED = ("done", "failed", "cancelled")
@@ -197,8 +197,7 @@ def cancel(engine: sa.Engine, tenant_id: str, job_id: str) -> str:
 def retry(engine: sa.Engine, tenant_id: str, job_id: str, *, quota: Quota = NO_QUOTA) -> list[Message]:
     """Let a failed or cancelled job go on from what is done; return the messages for its shards.
 
-    Shards that failed or were cancelled begin anew, as new rows: a worker that still computes an old one commits to
-    nothing. Raises JobNotFound, JobNotStopped, QuotaExceeded.
+    Shards that failed or were cancelled begin anew. Raises JobNotFound, JobNotStopped, QuotaExceeded.
     """
     with write(engine) as tx:
         lock_job(tx, job_id)
@@ -207,11 +206,8 @@ def retry(engine: sa.Engine, tenant_id: str, job_id: str, *, quota: Quota = NO_Q
             raise JobNotStopped(job_id, row.state)
         quotas.check_job(tx, row.tenant_id, quota, stored=0)
         undone = (shard.c.job_id == job_id) & shard.c.state.in_(("failed", "cancelled"))
-        kept = ("tenant_id", "job_id", "stage_id", "kind", "ordinal", "queue", "params", "need_bytes")
-        rows = [
-            {**{key: getattr(r, key) for key in kept}, "id": new_id(), "state": "ready", "attempt": 0, "cached": False}
-            for r in tx.execute(sa.select(shard).where(undone).order_by(shard.c.kind, shard.c.ordinal)).all()
-        ]
+        query = sa.select(shard).where(undone).order_by(shard.c.kind, shard.c.ordinal)
+        rows = [anew(r) for r in tx.execute(query).all()]
         tx.execute(sa.delete(shard).where(undone))
         if rows:
             tx.execute(sa.insert(shard), rows)

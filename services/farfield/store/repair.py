@@ -17,14 +17,13 @@ import sqlalchemy as sa
 from farfield.store import events
 from farfield.store.artifacts import Artifacts, LocalArtifacts
 from farfield.store.collect import unreferenced
-from farfield.store.engine import new_id, read, write
+from farfield.store.engine import read, write
 from farfield.store.fsck import FILES, OPEN, Finding, check
 from farfield.store.jobs import ENDED
-from farfield.store.shards import lock_job
+from farfield.store.shards import anew, lock_job
 from farfield.store.tables import artifact, event, job, shard, stage
 
 OVER = ("done", "skipped", "failed")
-KEPT = ("tenant_id", "job_id", "stage_id", "kind", "ordinal", "queue", "params", "need_bytes")
 
 
 def repair(engine: sa.Engine, artifacts: Artifacts, found: Iterable[Finding]) -> tuple[list[str], list[Finding]]:
@@ -115,10 +114,7 @@ def _restart(tx: sa.Connection, at: sa.Row[Any], lost: set[str], report: bool) -
     if state in ("running", "merging"):
         old |= {r.id for r in rows if r.kind in ("merge", "report") and (r.kind == "report" or state == "running")}
     tx.execute(sa.delete(shard).where(shard.c.id.in_(old)))
-    fresh = [
-        {**{key: getattr(r, key) for key in KEPT}, "id": new_id(), "state": "ready", "attempt": 0, "cached": False}
-        for r in again
-    ]
+    fresh = [anew(r) for r in again]
     if fresh:
         tx.execute(sa.insert(shard), fresh)
     n_done = sum(r.kind == "run" and r.state == "done" and r.id not in old for r in rows)

@@ -20,7 +20,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from farfield.stages import Queue
 from farfield.store import events
-from farfield.store.engine import now, read, write
+from farfield.store.engine import new_id, now, read, write
 from farfield.store.fair import Host, fits
 from farfield.store.tables import artifact, job, scene, shard, stage, tenant
 
@@ -229,6 +229,13 @@ def refuse(engine: sa.Engine, shard_id: str, error: Mapping[str, str]) -> str | 
         fact = {"stage": at.name, "kind": at.kind, "ordinal": at.ordinal, "state": "failed", "error": dict(error)}
         events.append(tx, at.job_id, "shard", fact)
         return str(at.job_id)
+
+
+def anew(row: sa.Row[Any]) -> dict[str, Any]:
+    """Return a new, ready shard in the place of `row`, to be deleted: a worker that still computes it commits to nothing."""
+    kept = ("tenant_id", "job_id", "stage_id", "kind", "ordinal", "queue", "params", "need_bytes")
+    place = {name: getattr(row, name) for name in kept}
+    return {**place, "id": new_id(), "state": "ready", "attempt": 0, "cached": False}
 
 
 def lock_job(tx: sa.Connection, job_id: str | None) -> None:
