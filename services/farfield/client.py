@@ -144,25 +144,6 @@ class Client:
         """Return what the tenant has, and how much it may have."""
         return self._get("/v1/usage")
 
-    # webhooks; their deliveries are checked with farfield.webhooks.verify
-
-    def create_webhook(
-        self, url: str, *, name: str, every_job: bool = False, events: Sequence[str] = ENDED
-    ) -> dict[str, Any]:
-        """Register an address; the answer holds its `id` and, this once, its `secret`."""
-        body = {"url": url, "name": name, "every_job": every_job, "events": list(events)}
-        return self._read(self._request("POST", "/v1/webhooks", json=body))
-
-    def webhooks(self) -> Iterator[dict[str, Any]]:
-        """Yield all webhooks, newest first."""
-        yield from self._pages("/v1/webhooks", "webhooks", {})
-
-    def delete_webhook(self, webhook: str) -> None:
-        """Delete a webhook and what waits for it."""
-        answer = self._request("DELETE", f"/v1/webhooks/{webhook}")
-        if not answer.is_success:
-            self._read(answer)
-
     def cancel(self, job: str) -> dict[str, Any]:
         """Stop the job; what is done stays."""
         return self._read(self._request("POST", f"/v1/jobs/{job}/cancel"))
@@ -228,6 +209,25 @@ class Client:
                 if failures >= TRIES:
                     raise self._silent(error) from error
                 time.sleep(0.5 * 2**failures)
+
+    # webhooks; their deliveries are checked with farfield.webhooks.verify
+
+    def create_webhook(
+        self, url: str, *, name: str, every_job: bool = False, events: Sequence[str] = ENDED
+    ) -> dict[str, Any]:
+        """Register an address; the answer holds its `id` and, this once, its `secret`."""
+        body = {"url": url, "name": name, "every_job": every_job, "events": list(events)}
+        return self._read(self._request("POST", "/v1/webhooks", json=body))
+
+    def webhooks(self) -> Iterator[dict[str, Any]]:
+        """Yield all webhooks, newest first."""
+        yield from self._pages("/v1/webhooks", "webhooks", {})
+
+    def delete_webhook(self, webhook: str) -> None:
+        """Delete a webhook and what waits for it."""
+        answer = self._request("DELETE", f"/v1/webhooks/{webhook}")
+        if not answer.is_success:
+            self._read(answer)
 
     # placements
 
