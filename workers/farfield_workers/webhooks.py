@@ -92,7 +92,7 @@ class Postman:
             error = str(refused)
         except (OSError, httpcore.NetworkError, httpcore.TimeoutException, httpcore.ProtocolError) as failed:
             error = _told(failed)
-        except Exception:
+        except Exception:  # unforeseen, it counts as well: what is not finished comes again without end
             log.exception("delivery %s", due.id)
             error = "the delivery failed"
         try:
