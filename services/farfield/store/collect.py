@@ -19,10 +19,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql, sqlite
 
 from farfield.store.artifacts import Artifacts
-from farfield.store.engine import now, read, write
+from farfield.store.engine import insert, now, read, write
 from farfield.store.tables import artifact, metadata
 
 GRACE_S = 3600.0
@@ -119,7 +118,6 @@ def would_collect(engine: sa.Engine, artifacts: Artifacts) -> Collected:
 def _adopt(engine: sa.Engine, page: list[dict[str, object]]) -> int:
     if not page:
         return 0
-    insert = sqlite.insert if engine.dialect.name == "sqlite" else postgresql.insert
     with read(engine) as tx:
         named = artifact.c.digest.in_([row["digest"] for row in page])
         known = set(tx.scalars(sa.select(artifact.c.digest).where(named)))
@@ -128,7 +126,7 @@ def _adopt(engine: sa.Engine, page: list[dict[str, object]]) -> int:
         if row["digest"] not in known:
             values = {**row, "created_at": now(), "marked_at": now()}
             with write(engine) as tx:
-                number += tx.execute(insert(artifact).values(values).on_conflict_do_nothing()).rowcount
+                number += tx.execute(insert(tx, artifact).values(values).on_conflict_do_nothing()).rowcount
     return number
 
 

@@ -11,10 +11,9 @@ import threading
 from collections.abc import Iterable, Mapping
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql, sqlite
 
 from farfield import errors
-from farfield.store.engine import read, write
+from farfield.store.engine import insert, read, write
 from farfield.store.tables import counter
 
 SHARD_BUCKETS_S = (0.05, 0.2, 1.0, 5.0, 20.0, 60.0, 300.0, 1200.0, 3600.0)
@@ -71,9 +70,8 @@ class Counts:
 
 def add(tx: sa.Connection, counts: Mapping[Key, float]) -> None:
     """Add to the rows within the caller's transaction."""
-    insert = sqlite.insert if tx.dialect.name == "sqlite" else postgresql.insert
     for (name, labels), value in sorted(counts.items()):
-        statement = insert(counter).values(name=name, labels=labels, value=value)
+        statement = insert(tx, counter).values(name=name, labels=labels, value=value)
         tx.execute(
             statement.on_conflict_do_update(
                 index_elements=[counter.c.name, counter.c.labels],

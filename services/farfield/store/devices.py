@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql, sqlite
 
 from farfield.errors import DeviceExists, DeviceNotFound, IdempotencyConflict, QuotaExceeded, SamplesInvalid
 from farfield.rendertime.samples import MAX_SAMPLES
-from farfield.store.engine import new_id, now, read, write
+from farfield.store.engine import insert, new_id, now, read, write
 from farfield.store.pages import Cursor, holding, newest_first, owned
 from farfield.store.tables import device_profile, device_sample, job
 
@@ -28,7 +27,7 @@ def create(engine: sa.Engine, tenant_id: str, *, name: str, model: dict[str, Any
             raise QuotaExceeded("devices", there, MAX_DEVICES)
         device_id = new_id()
         values = {"id": device_id, "tenant_id": tenant_id, "name": name, "model": model, "n_samples": 0, "n_fitted": 0}
-        made = tx.execute(_insert(tx, device_profile).values(**values, created_at=now()).on_conflict_do_nothing())
+        made = tx.execute(insert(tx, device_profile).values(**values, created_at=now()).on_conflict_do_nothing())
         if not made.rowcount:  # on PostgreSQL, two at once
             raise DeviceExists(name)
         return device_id
@@ -131,10 +130,6 @@ def _known(tx: sa.Connection, device_id: str, key: str, more: Sequence[Sequence[
 
 def _digest(frames: Sequence[Sequence[float]]) -> str:
     return hashlib.sha256(json.dumps([list(f) for f in frames]).encode()).hexdigest()
-
-
-def _insert(tx: sa.Connection, table: sa.Table) -> Any:
-    return (sqlite.insert if tx.dialect.name == "sqlite" else postgresql.insert)(table)
 
 
 def _row(tx: sa.Connection, tenant_id: str, device_id: str, *, lock: bool = False) -> sa.Row[Any]:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.functions import FunctionElement
 
@@ -52,6 +53,11 @@ def _now_elsewhere(element: Any, compiler: Any, **options: Any) -> str:
 def new_id() -> str:
     """Return 32 hexadecimal digits, random."""
     return secrets.token_hex(16)
+
+
+def insert(tx: sa.Connection, table: sa.Table) -> Any:
+    """Return an INSERT into the table that knows ON CONFLICT."""
+    return (sqlite if tx.dialect.name == "sqlite" else postgresql).insert(table)
 
 
 def open_engine(url: str) -> sa.Engine:

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql, sqlite
 
 from farfield.errors import ArtifactMissing, SceneInUse, SceneNotFound
 from farfield.store import quotas
-from farfield.store.engine import now, read, write
+from farfield.store.engine import insert, now, read, write
 from farfield.store.pages import Cursor, holding, newest_first, owned
 from farfield.store.quotas import Quota
 from farfield.store.shards import put_artifact
@@ -34,12 +33,11 @@ def add(
             put_artifact(tx, blob, size)
             if not check(blob):
                 raise ArtifactMissing(blob)
-        insert = sqlite.insert if tx.dialect.name == "sqlite" else postgresql.insert
         values = {
             "tenant_id": tenant_id, "digest": digest, "name": name, "suffix": suffix, "n_bytes": n_bytes,
             "summary": summary, "inspect_digest": inspect_digest, "picture_digest": picture_digest, "created_at": now(),
         }  # fmt: skip
-        tx.execute(insert(scene).values(values).on_conflict_do_nothing())
+        tx.execute(insert(tx, scene).values(values).on_conflict_do_nothing())
 
 
 def get(engine: sa.Engine, tenant_id: str, digest: str) -> sa.Row[Any]:

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.dialects import postgresql, sqlite
 
 from farfield.stages import Queue
-from farfield.store.engine import now, read, write
+from farfield.store.engine import insert, now, read, write
 from farfield.store.tables import worker
 
 HEARTBEAT_S = 5.0
@@ -35,7 +34,6 @@ class Telling:
 
 def tell(engine: sa.Engine, told: Telling, *, stopped: bool = False) -> None:
     """Write the worker's row: its heartbeat is now. `stopped`: it is about to end."""
-    insert = sqlite.insert if engine.dialect.name == "sqlite" else postgresql.insert
     values: dict[str, Any] = {
         "host": told.host, "queues": ",".join(told.queues), "capability": dict(told.capability), "heartbeat_at": now(),
         "stopped_at": now() if stopped else None, "shard_id": None if stopped else told.shard_id, "done": told.done,
@@ -44,7 +42,7 @@ def tell(engine: sa.Engine, told: Telling, *, stopped: bool = False) -> None:
     }  # fmt: skip
     with write(engine) as tx:
         tx.execute(
-            insert(worker).values(name=told.name, started_at=now(), **values)
+            insert(tx, worker).values(name=told.name, started_at=now(), **values)
             .on_conflict_do_update(index_elements=[worker.c.name], set_=values)
         )  # fmt: skip
 
