@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from browser.chromium import CHROMIUM, launch
+from browser.page_service import WEB, PageService
 
 
 @pytest.fixture(
@@ -18,6 +19,16 @@ def browser() -> Iterator[Any]:
         chromium = launch(playwright)
         yield chromium
         chromium.close()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageService]:
+    if not (WEB / "workers.html").is_file():
+        pytest.skip("the pages are not built: make setup")
+    service = PageService(tmp_path_factory.mktemp("service"))
+    service.start()
+    yield service
+    service.stop()
 
 
 @pytest.fixture

@@ -1,12 +1,13 @@
 """three.js and its own GLTFLoader on a page: pictures of exported files, served from node_modules."""
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
-THREE = Path(__file__).resolve().parents[2] / "webviewer" / "node_modules" / "three"
+from browser.static_server import ROOT, listening
+
+THREE = ROOT / "webviewer" / "node_modules" / "three"
 PAGE = b"""<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,"><script type="importmap">
 {"imports": {"three": "/three/build/three.module.js", "three/addons/": "/three/examples/jsm/"}}</script>
 <script type="module">
@@ -58,13 +59,5 @@ def serving_gltf(folder: Path) -> Iterator[str]:
         def log_message(self, *_: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    with listening(Handler) as url:
+        yield url

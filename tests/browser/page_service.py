@@ -111,7 +111,10 @@ def _pipeline() -> Any:
 
 
 class PageService:
-    """Start it, use `url` and `key`, stop it; `stop_api` and `start_api` in between are a restart on the same port."""
+    """Start it, use `url` and a key (`operator` is another tenant's), stop it.
+
+    `stop_api` and `start_api` in between are a restart on the same port.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.engine = open_engine(f"sqlite:///{folder / 'farfield.sqlite'}")
@@ -119,6 +122,8 @@ class PageService:
         tenant = tenants.create_tenant(self.engine, "toy")
         self.key = tenants.create_key(self.engine, tenant, "test", ("read", "submit", "admin"))
         self.reader = tenants.create_key(self.engine, tenant, "reader", ("read",))
+        operator = tenants.create_tenant(self.engine, "the operator", operator=True)
+        self.operator = tenants.create_key(self.engine, operator, "operator", ("read", "submit", "admin"))
         town = folder / "town"
         shutil.copytree(GOLDEN, town / "placement")
         stages = [{"name": str(s), "seconds": 1.5, "peak_bytes": 40_000_000, "skipped": None} for s in Stage]

@@ -80,7 +80,14 @@ def serving(placements: Mapping[str, Path], *, port: int = 0, trouble: Trouble |
             except ConnectionError:
                 pass  # the page cancels what it no longer wants
 
-    server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+    with listening(Handler, port=port) as url:
+        yield url
+
+
+@contextmanager
+def listening(handler: type[BaseHTTPRequestHandler], *, port: int = 0) -> Iterator[str]:
+    """Answer on a thread while the context lasts; yields the address, http://127.0.0.1:PORT."""
+    server = ThreadingHTTPServer(("127.0.0.1", port), handler)
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()

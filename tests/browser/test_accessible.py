@@ -3,17 +3,12 @@
 import json
 
 import pytest
-from browser.chromium import CHROMIUM
-from browser.page_service import ROOT, WEB, PageService
-from farfield.store import tenants, workers
+from browser.page_service import ROOT
+from farfield.store import workers
 from farfield.store.workers import Telling
 
 AXE = ROOT / "webviewer" / "node_modules" / "axe-core" / "axe.min.js"
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium"),
-    pytest.mark.skipif(not (WEB / "workers.html").is_file(), reason="the pages are not built: make setup"),
-]
+pytestmark = pytest.mark.browser
 PAGES = [
     "/jobs",
     "/jobs/JOB",
@@ -29,17 +24,12 @@ BY_LOOK = ["color-contrast", "scrollable-region-focusable", "target-size"]  # wh
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory):
-    service = PageService(tmp_path_factory.mktemp("service"))
-    service.start()
-    operator = tenants.create_tenant(service.engine, "the operator", operator=True)
-    service.operator = tenants.create_key(service.engine, operator, "operator", ("read", "submit", "admin"))
+def service(service):
     capability = {"cores": 2, "memory_bytes": 24 << 30, "version": "0.1.0", "renderer": None}
     told = {"host": "a", "queues": ("cpu",), "capability": capability}
     workers.tell(service.engine, Telling(name="a:1", failed=2, shard_id="ab" * 16, stage="bake", **told))
     workers.tell(service.engine, Telling(name="a:2", **told))
-    yield service
-    service.stop()
+    return service
 
 
 def _sign_in(page, service):

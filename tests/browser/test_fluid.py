@@ -3,14 +3,8 @@
 import json
 
 import pytest
-from browser.chromium import CHROMIUM
-from browser.page_service import WEB, PageService
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium"),
-    pytest.mark.skipif(not (WEB / "workers.html").is_file(), reason="the pages are not built: make setup"),
-]
+pytestmark = pytest.mark.browser
 JOB = "ab" * 16
 STAGES = ["scene", "hierarchy", "detail", "rendertime", "visibility", "viewspace", "candidates", "placement", "bake"]
 SHARDS, PACE_MS = 20_000, 10
@@ -43,14 +37,6 @@ WATCH = """() => {
   const keep = list => { for (const e of list.getEntries()) longTasks.push(Math.round(e.duration)); };
   new PerformanceObserver(keep).observe({type: 'longtask'});
 }"""
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory):
-    service = PageService(tmp_path_factory.mktemp("service"))
-    service.start()
-    yield service
-    service.stop()
 
 
 def _job(k, state="done"):

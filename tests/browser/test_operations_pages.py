@@ -5,26 +5,10 @@ import io
 import re
 
 import pytest
-from browser.chromium import CHROMIUM
-from browser.page_service import WEB, PageService
-from farfield.store import tenants, workers
+from farfield.store import workers
 from farfield.store.workers import Telling
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium"),
-    pytest.mark.skipif(not (WEB / "workers.html").is_file(), reason="the pages are not built: make setup"),
-]
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory):
-    service = PageService(tmp_path_factory.mktemp("service"))
-    service.start()
-    operator = tenants.create_tenant(service.engine, "the operator", operator=True)
-    service.operator = tenants.create_key(service.engine, operator, "operator", ("read", "submit", "admin"))
-    yield service
-    service.stop()
+pytestmark = pytest.mark.browser
 
 
 @pytest.fixture

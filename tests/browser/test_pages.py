@@ -8,34 +8,14 @@ import re
 import time
 
 import pytest
-from browser.chromium import CHROMIUM, launch
-from browser.page_service import WEB, PageService
+from browser.page_service import WEB
 
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium"),
     pytest.mark.skipif(not (WEB / "jobs.html").is_file(), reason="the pages are not built: make setup"),
 ]
 # Nobody is signed in, a file is not known, a level is refused: answers that browsers log as errors.
 EXPECTED = re.compile(r"status of (401|404|422)")
-
-
-@pytest.fixture(scope="module")
-def service(tmp_path_factory):
-    service = PageService(tmp_path_factory.mktemp("service"))
-    service.start()
-    yield service
-    service.stop()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = launch(playwright)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
