@@ -29,6 +29,7 @@ from farfield.errors import FarfieldError, ServiceError
 from farfield.executor import THREADS
 from farfield.store import progress, tenants, workers
 from farfield.store.artifacts import LocalArtifacts
+from farfield.store.backup import write_private
 from farfield.store.engine import open_engine
 from farfield.store.migrate import migrate as upgrade
 
@@ -66,7 +67,7 @@ def first_key(engine: sa.Engine, path: Path) -> tuple[str, bool]:
             return key, False
     tenant_id = tenants.create_tenant(engine, "default", operator=True)
     key = tenants.create_key(engine, tenant_id, "made on first start", ("read", "submit", "admin"))
-    _write_private(path, key + "\n")
+    write_private(path, f"{key}\n".encode())
     return key, True
 
 
@@ -263,18 +264,8 @@ def _runtime(data: Path) -> Path:
 def _secret(path: Path) -> str:
     """Return the secret that signs sessions, made on the first start."""
     if not path.exists():
-        _write_private(path, secrets.token_hex(32))
+        write_private(path, secrets.token_hex(32).encode())
     return path.read_text().strip()
-
-
-def _write_private(path: Path, text: str) -> None:
-    temporary = path.with_name(path.name + ".part")
-    temporary.unlink(missing_ok=True)
-    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
 
 
 def main() -> int:

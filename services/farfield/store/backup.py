@@ -54,13 +54,13 @@ def backup(data: Path, target: Path, *, say: Said = bool) -> dict[str, Any]:
             copy.remove(blob.digest)
     for name in PRIVATE:
         if (data / name).is_file():
-            _copy_private(data / name, target / name)
+            write_private(target / name, (data / name).read_bytes())
     shutil.rmtree(copy.temporary)
     told = {
         "version": 1, "revision": _revision(target / DATABASE), "artifacts": len(named) - len(lost),
         "bytes": sum(blob.n_bytes for blob in copy.blobs()), "lost": lost,
     }  # fmt: skip
-    _write(target / MANIFEST, json.dumps(told, indent=1, sort_keys=True).encode())
+    write_private(target / MANIFEST, json.dumps(told, indent=1, sort_keys=True).encode())
     if lost:
         raise ServiceError(f"{len(lost)} artifacts are lost or damaged (see {MANIFEST}): run farfield fsck")
     return told
@@ -86,7 +86,7 @@ def restore(target: Path, data: Path, *, say: Said = bool) -> dict[str, Any]:
         raise ServiceError(f"the backup is damaged: {len(damaged)} artifacts, the first is {min(damaged)}")
     for name in PRIVATE:
         if (target / name).is_file():
-            _copy_private(target / name, data / name)
+            write_private(data / name, (target / name).read_bytes())
     temporary = data / f"{DATABASE}.part"
     _copy_database(target / DATABASE, temporary)
     with closing(sqlite3.connect(temporary, isolation_level=None)) as connection:  # of any version of the tables
@@ -165,11 +165,8 @@ def _revision(path: Path) -> str:
         return str(connection.execute("SELECT version_num FROM alembic_version").fetchone()[0])
 
 
-def _copy_private(source: Path, target: Path) -> None:
-    _write(target, source.read_bytes())
-
-
-def _write(path: Path, content: bytes) -> None:
+def write_private(path: Path, content: bytes) -> None:
+    """Write a file that is only for its owner (0600) and that survives a power cut; a reader never sees half of it."""
     temporary = path.with_name(path.name + ".part")
     temporary.unlink(missing_ok=True)
     with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
