@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 from farfield.stages import Stage
-from farfield.store import jobs, progress, shards
+from farfield.store import counters, jobs, progress, shards
 from farfield.store.engine import now, write
 from farfield.store.tables import job, shard
 from farfield_workers.work import advance
@@ -131,6 +131,7 @@ def test_a_disk_that_stays_full_fails_the_job_by_name_and_tells_no_path(in_proce
     error = in_process.job(job_id).error
     assert error["code"] == "DiskFull"
     assert "secret" not in json.dumps(error)
+    assert counters.totals(in_process.engine)["job_failures", "code=DiskFull"] == 1
 
 
 @pytest.mark.parametrize("jump_s", [-7200.0, -40.0, 90.0, 7200.0])

@@ -102,7 +102,7 @@ def count_job(tx: sa.Connection, state: str, code: str | None = None) -> None:
 
 def known_code(code: str) -> str:
     """Return an error's code where it is one of ours, else "Other": labels are few."""
-    ours = isinstance(getattr(errors, code, None), type) or code in ("OutOfMemory", "WorkerDied")
+    ours = isinstance(getattr(errors, code, None), type) or code in ("DiskFull", "OutOfMemory", "WorkerDied")
     return code if ours else "Other"
 
 
