@@ -1,6 +1,7 @@
 """The collector removes what nothing refers to, and nothing else, whoever races with it."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine, read, write
 from farfield.store.retention import Retention
 from farfield.store.tables import artifact, event, job, metadata
+from farfield_workers.upkeep import drop_leftovers
 
 TESTS = Path(__file__).parents[1]
 
@@ -115,6 +117,17 @@ def test_processes_that_use_and_collect_the_same_blobs_lose_none(bench, tmp_path
 
 def test_the_same_on_postgresql(postgres, postgres_template, tmp_path):
     _race(postgres.new(postgres_template), tmp_path / "artifacts", tmp_path / "stop")
+
+
+def test_what_killed_processes_left_goes_but_not_the_lock_of_one_that_lives(tmp_path):
+    old, young, lock = tmp_path / "shard-old", tmp_path / "young", tmp_path / ".lock"
+    old.mkdir()
+    for path in (old / "artifact", tmp_path / "upload", young, lock):
+        path.write_bytes(b"x")
+    for path in (old, tmp_path / "upload", lock):
+        os.utime(path, (1.0, 1.0))
+    assert drop_leftovers(tmp_path) == 2
+    assert set(tmp_path.iterdir()) == {young, lock}
 
 
 def test_what_is_past_its_time_goes_and_the_end_of_a_stream_stays(in_process):

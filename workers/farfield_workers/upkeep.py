@@ -119,9 +119,12 @@ class Upkeep:
 
 
 def drop_leftovers(folder: Path, seconds: float = LEFTOVER_S) -> int:
-    """Remove what processes that were killed left in a folder for temporary files; return how many."""
+    """Remove what processes that were killed left in a folder for temporary files; return how many.
+
+    Hidden files stay: the lock of a living process (`s3`), without which nobody could clear up after it.
+    """
     number = 0
-    for path in folder.iterdir():
+    for path in folder.glob("[!.]*"):
         try:
             if time.time() - path.lstat().st_mtime < seconds:
                 continue
