@@ -28,7 +28,7 @@ RECENT_S = 300.0
 
 
 class Telemetry:
-    """Of one worker process, which computes one shard at a time. `begin` and the like are called by who computes."""
+    """Of one worker process, which computes one shard at a time. `shard`, `done` and the like are called by who computes."""
 
     def __init__(self) -> None:
         self.counts = Counts()

@@ -24,7 +24,7 @@ FILES = str(Stage.PLACEMENTDB)  # the stage whose artifact clients fetch
 
 @dataclass(frozen=True, slots=True, order=True)
 class Finding:
-    """One thing. `kind`: see WHAT; `of`: what it is about (a digest, a job's id); `note`: no fault by itself."""
+    """One thing. `kind`: a word for what is wrong; `of`: what it is about (a digest, a job's id); `note`: no fault by itself."""
 
     kind: str
     of: str
