@@ -24,8 +24,9 @@ class Service:
     tenant_id: str
     key: str
 
-    def new_key(self, *scopes, tenant="toy"):
-        return tenants.create_key(self.engine, tenants.create_tenant(self.engine, tenant), "test", scopes)
+    def new_key(self, *scopes, tenant="toy", operator=False):
+        tenant_id = tenants.create_tenant(self.engine, tenant, operator=operator)
+        return tenants.create_key(self.engine, tenant_id, "test", scopes)
 
     def upload(self, name="toy.glb", **wish):
         """Send a toy scene and return its digest."""
@@ -94,6 +95,12 @@ def _placement(folder):
     (folder / "report.json").write_text('{"verdict": "valid"}')
     (folder.parent / "secret.txt").write_text("not yours")
     return folder
+
+
+@pytest.fixture
+def operator(service):
+    """The headers of a key of the operator's tenant with all scopes."""
+    return bearer(service.new_key("read", "submit", "admin", tenant="us", operator=True))
 
 
 @pytest.fixture

@@ -153,9 +153,7 @@ def test_no_scope_stands_for_another(service):
     scopes = {"read", "submit", "admin"}
     under = {scope: service.new_key(*scopes - {scope}) for scope in scopes} | {OPERATOR: service.new_key(*scopes)}
     enough = {scope: service.new_key(scope) for scope in scopes}
-    enough[OPERATOR] = tenants.create_key(
-        service.engine, tenants.create_tenant(service.engine, "us", operator=True), "us", ("admin",)
-    )
+    enough[OPERATOR] = service.new_key("admin", tenant="us", operator=True)
     for method, path, body, scope in GUARDED:
         if scope == ANY:
             continue
@@ -168,9 +166,7 @@ def test_no_scope_stands_for_another(service):
 
 
 def test_an_operators_key_without_admin_is_like_any_other(service):
-    key = tenants.create_key(
-        service.engine, tenants.create_tenant(service.engine, "us", operator=True), "us", ("read", "submit")
-    )
+    key = service.new_key("read", "submit", tenant="us", operator=True)
     for method, path, body, scope in GUARDED:
         if scope == OPERATOR:
             assert ask(service, method, path, body, authorization=f"Bearer {key}").status_code == 403

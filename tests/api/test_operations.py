@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 from farfield import logs
-from farfield.store import tenants, workers
+from farfield.store import workers
 from farfield.store.counters import Counts, add
 from farfield.store.engine import write
 from farfield.store.tables import worker as worker_table
@@ -19,13 +19,6 @@ from farfield_api import readiness
 from farfield_api.app import make_app
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
-
-
-@pytest.fixture
-def operator(service):
-    tenant = tenants.create_tenant(service.engine, "the operator", operator=True)
-    key = tenants.create_key(service.engine, tenant, "operator", ("read", "submit", "admin"))
-    return {"authorization": f"Bearer {key}"}
 
 
 def _scrape(service, operator):
@@ -166,8 +159,8 @@ def test_workers_and_storage_are_shown_to_the_operator_alone(service, worker, op
     worker()
     storage = service.client.get("/v1/storage", headers=operator).json()
     assert storage["total"]["bytes"] == sum(kind["bytes"] for kind in storage["kinds"].values()) > 10_000
-    assert {t["name"]: t["jobs"] for t in storage["tenants"]} == {"toy": 1, "the operator": 0}
-    key = tenants.create_key(service.engine, tenants.create_tenant(service.engine, "guest"), "g", ("read", "admin"))
+    assert {t["name"]: t["jobs"] for t in storage["tenants"]} == {"toy": 1, "us": 0}
+    key = service.new_key("read", "admin", tenant="guest")
     for path in ("/metrics", "/v1/workers", "/v1/storage"):
         assert service.client.get(path, headers={"authorization": f"Bearer {key}"}).status_code == 403, path
 

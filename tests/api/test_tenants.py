@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 import sqlalchemy as sa
-from farfield.store import tenants
 from farfield.store.engine import read, write
 from farfield.store.quotas import Quota
 from farfield.store.tables import api_key, audit
@@ -16,12 +15,6 @@ from starlette.testclient import TestClient
 
 def bearer(key):
     return {"authorization": f"Bearer {key}"}
-
-
-@pytest.fixture
-def operator(service):
-    us = tenants.create_tenant(service.engine, "us", operator=True)
-    return bearer(tenants.create_key(service.engine, us, "us", ("read", "submit", "admin")))
 
 
 def limit(service, **quota):
