@@ -41,10 +41,16 @@ def set_view(page: Any, position: Sequence[float], direction: Sequence[float]) -
     return page.evaluate("farfield.stats()")
 
 
-def compare(page: Any, position: Sequence[float], direction: Sequence[float]) -> Compared:
-    """Return how the view with impostors differs from the view without. Leaves impostors on."""
+def flip(truth: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return (H,W) f4, 0 .. 1: what the flip-evaluator package says of two pictures (H,W,3) u1."""
     import flip_evaluator
 
+    as_floats = [(p / 255).astype(np.float32) for p in (truth, shown)]
+    return flip_evaluator.evaluate(*as_floats, "LDR", applyMagma=False)[0].reshape(truth.shape[:2])
+
+
+def compare(page: Any, position: Sequence[float], direction: Sequence[float]) -> Compared:
+    """Return how the view with impostors differs from the view without. Leaves impostors on."""
     stats = set_view(page, position, direction)
     covered = picture(page, "coverage").any(-1)
     shown = picture(page)
@@ -54,8 +60,7 @@ def compare(page: Any, position: Sequence[float], direction: Sequence[float]) ->
     truth = picture(page)
     page.evaluate("farfield.setMode({impostors: true})")
     holes = through_shown > _most_around(through_truth) + THROUGH
-    as_floats = [(p / 255).astype(np.float32) for p in (truth, shown)]
-    errors = flip_evaluator.evaluate(*as_floats, "LDR", applyMagma=False)[0].reshape(covered.shape)
+    errors = flip(truth, shown)
     return Compared(
         stats=stats, coverage=float(covered.mean()), flip=float(errors[covered].mean()) if covered.any() else 0.0,
         flip_picture=float(errors.mean()), holes=int(holes.sum()), shown=shown, truth=truth,
