@@ -202,9 +202,10 @@ def test_every_shard_states_what_it_may_need(in_process):
     job_id, message = in_process.submit()
     in_process.run(message)
     with write(in_process.engine) as tx:
-        rows = tx.execute(sa.select(shard.c.need_bytes, shard.c.peak_bytes).where(shard.c.job_id == job_id)).all()
-    assert len(rows) > 30
-    assert all(r.need_bytes > 0 and r.peak_bytes > 0 for r in rows[1:])  # the peak is this test process's own
+        needs = sorted(tx.scalars(sa.select(shard.c.need_bytes).where(shard.c.job_id == job_id)))
+    assert len(needs) > 30
+    # But the first, which plans how the file is read; test_races holds the others against what processes took.
+    assert needs[0] == 0 < needs[1]
 
 
 def test_no_clock_decides_whose_turn_it_is(in_process):

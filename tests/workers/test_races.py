@@ -46,6 +46,13 @@ def test_workers_of_many_processes_lose_nothing_and_advance_once(in_process):
             moves = [(e["data"]["stage"], e["data"]["state"]) for e in found if e["kind"] == "stage"]
             assert len(moves) == len(set(moves))
             assert found[-1]["data"]["state"] == "done"
+        # What these processes took at most, which ran nothing else, is what their shards had stated, or less.
+        took = tx.execute(
+            sa.select(shard.c.kind, shard.c.need_bytes, shard.c.peak_bytes)
+            .where(shard.c.job_id.in_(raced), shard.c.cached.is_(False), shard.c.need_bytes > 0)
+        ).all()  # fmt: skip
+        assert len(took) > 30 * JOBS
+        assert [row for row in took if not 0 < row.peak_bytes <= row.need_bytes] == []
     assert all(in_process.job(job).verdict == "valid" for job in raced)
 
 
