@@ -8,7 +8,7 @@ import pytest
 import toy_pipeline
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
-from farfield.store import jobs, scenes, tenants
+from farfield.store import jobs, progress, scenes, tenants
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
 from farfield_workers.settings import WorkerSettings
@@ -46,11 +46,21 @@ class Bench:
         while waiting:
             waiting += self.work(waiting.pop(0))
 
+    def go_on(self):
+        """Work on all that is ready, whoever was told of it, until nothing is."""
+        while waiting := progress.ready(self.engine):
+            for message in waiting:
+                self.work(message)
+
     def job(self, job_id):
         return jobs.get(self.engine, self.tenant_id, job_id)
 
     def stages(self, job_id):
         return {s["name"]: s for s in jobs.stages_of(self.engine, job_id)}
+
+    def results(self, job_id):
+        """Return the digest of each stage's artifact."""
+        return {name: told["artifact"] for name, told in self.stages(job_id).items()}
 
 
 ON_BOTH = {  # tests of what databases do differently: they run on PostgreSQL, too

@@ -50,7 +50,7 @@ def spoil(path: Path, how: str):
 def test_an_artifact_that_the_store_has_altered_is_computed_again_to_the_same_bytes(in_process, how):
     calm, message = in_process.submit(skip=False)
     in_process.run(message)
-    expected = {n: s["artifact"] for n, s in in_process.stages(calm).items()}
+    expected = in_process.results(calm)
     job_id, message = in_process.submit(skip=False, other=1)
     at = reach(in_process, message, "placement")
     stages = in_process.stages(job_id)
@@ -65,7 +65,7 @@ def test_an_artifact_that_the_store_has_altered_is_computed_again_to_the_same_by
     in_process.run(at)
     row = in_process.job(job_id)
     assert (row.state, row.verdict) == ("done", "valid"), row.error
-    after = {n: s["artifact"] for n, s in in_process.stages(job_id).items()}
+    after = in_process.results(job_id)
     assert {n: after[n] for n in before} == before
     with write(in_process.engine) as tx:  # nobody's attempt, and nobody's second commit
         assert set(tx.scalars(sa.select(shard.c.attempt).where(shard.c.job_id == job_id))) == {1}

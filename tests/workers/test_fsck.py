@@ -6,7 +6,6 @@ import pytest
 import sqlalchemy as sa
 from farfield.store import fsck, repair
 from farfield.store.engine import read, write
-from farfield.store.progress import ready
 from farfield.store.tables import artifact, event, job, shard, stage
 
 
@@ -29,16 +28,6 @@ def _digests(bench, job_id, name, kind):
     with read(bench.engine) as tx:
         mine = (shard.c.job_id == job_id) & (stage.c.name == name) & (shard.c.kind == kind)
         return list(tx.scalars(query.where(mine).order_by(shard.c.ordinal)))
-
-
-def _go_on(bench):
-    while waiting := ready(bench.engine):
-        for message in waiting:
-            bench.work(message)
-
-
-def _result(bench, job_id):
-    return {name: told["artifact"] for name, told in bench.stages(job_id).items()}
 
 
 def _until(bench, message, name):
@@ -65,7 +54,7 @@ def test_a_clean_service_has_nothing_wrong(in_process):
 def test_a_running_job_that_lost_a_result_goes_back_and_ends_with_the_same_bytes(in_process, harm, what):
     calm, message = in_process.submit()
     in_process.run(message)
-    expected = _result(in_process, calm)
+    expected = in_process.results(calm)
     job_id, message = in_process.submit()
     _until(in_process, message, "bake")
     merged, pieces = (_digests(in_process, job_id, "viewspace", kind) for kind in ("merge", "run"))
@@ -77,9 +66,9 @@ def test_a_running_job_that_lost_a_result_goes_back_and_ends_with_the_same_bytes
     mended, left = repair.repair(in_process.engine, in_process.artifacts, found)
     assert left == []
     assert any(f"job {job_id}: set back" in text for text in mended)
-    _go_on(in_process)
+    in_process.go_on()
     assert in_process.job(job_id).state == "done"
-    assert _result(in_process, job_id) == expected
+    assert in_process.results(job_id) == expected
     assert _wrong(in_process) == []
     if harm is _damage:
         assert list((in_process.artifacts.root / "quarantine").iterdir())
@@ -89,16 +78,16 @@ def test_a_running_job_that_lost_a_result_goes_back_and_ends_with_the_same_bytes
 def test_a_job_that_is_done_and_lost_what_clients_fetch_computes_it_again(in_process, what):
     job_id, message = in_process.submit()
     in_process.run(message)
-    before = _result(in_process, job_id)
+    before = in_process.results(job_id)
     row = in_process.job(job_id)
     _damage(in_process, before["placementdb"] if what == "files" else row.report_digest)
     _, left = repair.repair(in_process.engine, in_process.artifacts, _wrong(in_process))
     assert left == []
     assert in_process.job(job_id).state == "queued"
-    _go_on(in_process)
+    in_process.go_on()
     row = in_process.job(job_id)
     assert (row.state, row.verdict) == ("done", "valid")
-    assert _result(in_process, job_id) == before
+    assert in_process.results(job_id) == before
     assert json.loads(bytes(in_process.artifacts.buffer(row.report_digest)))["verdict"] == "valid"
     assert _wrong(in_process) == []
 
@@ -111,7 +100,7 @@ def test_what_only_saved_work_is_no_fault(in_process):
     again, message = in_process.submit()
     in_process.run(message)
     assert in_process.job(again).state == "done"
-    assert _result(in_process, again) == _result(in_process, job_id)
+    assert in_process.results(again) == in_process.results(job_id)
 
 
 def test_a_lost_scene_is_said_and_can_only_be_sent_again(in_process):
