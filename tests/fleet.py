@@ -13,6 +13,7 @@ from typing import Any
 import httpx
 import racing
 from farfield.columns import unpack_files
+from farfield.executor import THREADS
 from farfield.settings import Settings, to_mapping
 from farfield.stages import Stage
 from farfield.store import jobs, scenes, tenants
@@ -20,8 +21,8 @@ from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine
 from farfield.store.migrate import migrate
 from farfield_workers.children import die_with_parent
+from servers import MIGRATIONS
 
-MIGRATIONS = Path(__file__).parents[1] / "migrations"
 FARFIELD = (sys.executable, "-m", "farfield.cli.main")
 
 
@@ -35,8 +36,7 @@ class Fleet:
         self.environment = {
             **os.environ, **environment, "FARFIELD_DATABASE_URL": database, "FARFIELD_BROKER_URL": broker,
             "FARFIELD_ARTIFACTS": bucket, "FARFIELD_SECRET": secrets.token_hex(32), "FARFIELD_RATE_STORE": broker,
-            "FARFIELD_WEB": str(folder / "web"), "FARFIELD_UPLOADS": str(folder / "uploads"), "PYTHONUNBUFFERED": "1",
-            "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+            "FARFIELD_WEB": str(folder / "web"), "FARFIELD_UPLOADS": str(folder / "uploads"), "PYTHONUNBUFFERED": "1", **THREADS,
         }  # fmt: skip
         (folder / "uploads").mkdir()
         self.key = ""

@@ -22,6 +22,7 @@ import sqlalchemy as sa
 from farfield.executor import THREADS
 from farfield.store import progress, tenants
 from farfield.store.engine import open_engine
+from farfield_workers.__main__ import worker_command
 from farfield_workers.broker import broker_command, wait_for_broker
 from farfield_workers.children import Child, stop_children
 from farfield_workers.serve import migrate
@@ -59,10 +60,7 @@ class Cluster:
         self._add("api", [python, "-m", "farfield_api"])
         self._add("reconciler", [python, "-m", "farfield_workers.reconciler"])
         for k in range(workers):
-            command = [python, "-m", "celery", "-A", "farfield_workers.app", "worker", "-P", "solo", "-Q", QUEUES[k % 2],
-                       "-n", f"w{k}@%h", "--loglevel", "INFO", "--without-gossip", "--without-mingle",
-                       "--without-heartbeat"]  # fmt: skip
-            self._add(f"worker-{k}", command, worker=True)
+            self._add(f"worker-{k}", worker_command(QUEUES[k % 2], name=f"w{k}"), worker=True)
         self.client = httpx.Client(
             base_url=f"http://127.0.0.1:{self.listening.getsockname()[1]}", timeout=30,
             headers={"authorization": f"Bearer {self.key}"}, trust_env=False,

@@ -15,10 +15,8 @@ from farfield_workers.serve import migrate
 from farfield_workers.settings import WorkerSettings
 from farfield_workers.table import PIPELINE
 from farfield_workers.work import work
+from servers import MIGRATIONS
 from towns import town
-
-MIGRATIONS = Path(__file__).parents[2] / "migrations"
-MEBIBYTE = 1 << 20
 
 
 def level(seed: int) -> tuple[bytes, dict]:

@@ -57,13 +57,11 @@ class Fleet:
         self.start(name, [sys.executable, "-m", module])
 
     def replace(self, name, module):
-        """Stop the process as an orchestrator does, and start another once it has gone; return how long it took."""
-        old, started = self.running[name], time.monotonic()
+        """Stop the process as an orchestrator does, and start another once it has gone."""
+        old = self.running[name]
         old.send_signal(signal.SIGTERM)
-        assert old.wait(30) in (0, -signal.SIGTERM), (self.folder / f"{name}.log").read_text()[-2000:]
-        took = time.monotonic() - started
+        assert old.wait(25) in (0, -signal.SIGTERM), (self.folder / f"{name}.log").read_text()[-2000:]
         self.start_python(name, module)
-        return took
 
     def stop(self):
         for process in reversed(self.running.values()):
@@ -138,8 +136,7 @@ def test_a_rolling_restart_fails_no_job_and_no_request(fleet):
             ("worker-1", "farfield_workers"), ("api-1", "farfield_api"), ("worker-2", "farfield_workers"),
             ("api-2", "farfield_api"), ("reconciler", "farfield_workers.reconciler"),
         ):  # fmt: skip
-            took = fleet.replace(name, module)
-            assert took < 25, name
+            fleet.replace(name, module)
             time.sleep(0.3)
         _wait(lambda: client.job(job)["state"] in ("done", "failed", "cancelled"), 120)
         assert client.job(job)["verdict"] == "valid"
