@@ -1,6 +1,7 @@
-"""Tables are altered while workers claim and clients write: nobody fails, nothing is lost, nobody waits for long."""
+"""Tables are altered while workers claim and clients write: nobody fails, nothing is lost, nobody waits for the end."""
 
 import json
+import logging
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from farfield.stages import Stage
 from farfield.store import jobs, scenes, tenants
 from farfield.store.artifacts import LocalArtifacts
 from farfield.store.engine import open_engine, read, write
-from farfield.store.migrate import LOCK_MS, migrate
+from farfield.store.migrate import migrate
 from farfield.store.tables import job, shard
 
 TESTS = Path(__file__).parents[1]
@@ -47,21 +48,19 @@ def _head():
 
 
 class Writer(threading.Thread):
-    """Does one small transaction after the other, counts them, and remembers the longest."""
+    """Does one small transaction after the other, and counts them."""
 
     def __init__(self, url, statement):
         super().__init__(daemon=True)
         self.engine, self.statement = open_engine(url), statement
-        self.number, self.longest_s, self.ended, self.error = 0, 0.0, threading.Event(), None
+        self.number, self.ended, self.error = 0, threading.Event(), None
 
     def run(self):
         try:
             while not self.ended.wait(0.002):
-                started = time.monotonic()
                 with write(self.engine) as tx:
                     tx.execute(sa.text(self.statement), {"n": self.number})
                 self.number += 1
-                self.longest_s = max(self.longest_s, time.monotonic() - started)
         except Exception as error:
             self.error = error
 
@@ -119,8 +118,16 @@ def test_workers_and_clients_notice_nothing_of_the_next_migration(engine, empty,
         assert tx.scalar(sa.text("SELECT count(*) FROM job WHERE grown = 7")) == 2
 
 
-def test_the_newest_migration_lets_writers_pass(engine, empty):
-    """From the version before, with a transaction in the way that holds every table for a while."""
+def _until(happened):
+    end = time.monotonic() + 20  # well within the 30 s after which anybody gives up waiting for a lock
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_the_newest_migration_lets_writers_pass(engine, empty, caplog):
+    """From the version before, with a transaction in the way that holds every table until all writers have passed."""
+    caplog.set_level(logging.INFO, "farfield.store.migrate")
     before = ScriptDirectory(str(FOLDER)).get_revision(_head()).down_revision
     migrate(engine, FOLDER, revision=before)
     with write(engine) as tx:
@@ -137,7 +144,10 @@ def test_the_newest_migration_lets_writers_pass(engine, empty):
             in_the_way.execution_options(farfield_read=True).execute(sa.text(f"SELECT count(*) FROM {name}"))
         migrating = threading.Thread(target=migrate, args=(engine, FOLDER))
         migrating.start()
-        time.sleep(1.5 * LOCK_MS / 1000)
+        if engine.dialect.name == "postgresql":  # SQLite's readers are in nobody's way
+            _until(lambda: "comes again" in caplog.text)
+        reached = [writer.number for writer in writers]
+        _until(lambda: all(w.number > n + 10 for w, n in zip(writers, reached, strict=True)))
         in_the_way.rollback()
     migrating.join(60)
     assert not migrating.is_alive()
@@ -146,8 +156,6 @@ def test_the_newest_migration_lets_writers_pass(engine, empty):
         assert tx.scalar(sa.text("SELECT version_num FROM alembic_version")) == _head()
         assert tx.scalar(sa.text("SELECT created_at FROM tenant WHERE id = 't'")) == 1 + numbers[0]
         assert tx.scalar(sa.text("SELECT count(*) FROM artifact")) == numbers[1]
-    assert min(numbers) > 20
-    assert max(writer.longest_s for writer in writers) < 3 * LOCK_MS / 1000
     slow.dispose()
 
 
