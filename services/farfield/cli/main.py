@@ -19,6 +19,7 @@ VERBS = (
     "calibrate",
     "verify",
     "stability",
+    "experiment",
     "report",
     "export",
     "serve",
