@@ -1,6 +1,7 @@
 """A pipeline of small pure functions, for tests of the service: what it does is said in the scene file, as JSON.
 
-{"shards": 6, "seconds": 0.0, "fail": "bake", "until": PATH, "error": "named" | "odd", "crash_once": PATH, "skip": true}
+{"shards": 6, "seconds": 0.0, "fail": "bake", "until": PATH, "error": "named" | "odd", "crash_once": PATH, "skip": true,
+"tell": [FACT, ...], "tell_seconds": 0.0}: the last two of stage placement
 """
 
 import json
@@ -35,6 +36,10 @@ def _act(stage, inputs, shard):
         if once and shard == 1 and not Path(once).exists():
             Path(once).touch()
             os.kill(os.getpid(), signal.SIGKILL)
+    if stage == Stage.PLACEMENT and inputs.tell is not None:
+        for fact in wish.get("tell", []):
+            inputs.tell(fact)
+            time.sleep(wish.get("tell_seconds", 0.0))
     if wish.get("fail") == stage and not ("until" in wish and Path(wish["until"]).exists()):
         if wish.get("error") == "named":
             raise SceneEmpty("the toy has no triangles")

@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -66,18 +66,21 @@ def _settings_of(text: str) -> Settings:
     return from_mapping(json.loads(text))
 
 
-def inputs_of(call: Call) -> Inputs:
-    """Return what the stage sees."""
+Tell = Callable[[dict[str, Any]], None]
+
+
+def inputs_of(call: Call, tell: Tell | None = None) -> Inputs:
+    """Return what the stage sees; `tell` hears what it says of itself."""
     artifacts = {Stage(s): map_file(Path(path)) for s, path in call.artifacts.items()}
     digests = {Stage(s): digest for s, digest in call.digests.items()}
     checkpoint = Path(call.checkpoint) if call.checkpoint is not None else None
-    return Inputs(settings_of(call.settings), artifacts, digests, Path(call.scene_file), checkpoint)
+    return Inputs(settings_of(call.settings), artifacts, digests, Path(call.scene_file), checkpoint, tell)
 
 
-def compute(pipeline: Pipeline, call: Call, out: Path) -> Result:
+def compute(pipeline: Pipeline, call: Call, out: Path, *, tell: Tell | None = None) -> Result:
     """Run the shard and write its artifact to `out`. Raises what the stage raises."""
     reset_peak()
-    inputs = inputs_of(call)
+    inputs = inputs_of(call, tell)
     parts: Sequence[bytes | memoryview]
     if call.kind == "report":
         runs = [StageRun(**{k: v for k, v in o.items() if k != "state"}) for o in call.outcomes]

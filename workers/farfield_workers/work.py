@@ -28,8 +28,9 @@ from farfield.store.progress import Message
 from farfield.store.shards import Claim
 
 from farfield_workers import telemetry
-from farfield_workers.compute import Call, Result, compute, compute_isolated, settings_of
+from farfield_workers.compute import Call, Result, Tell, compute, compute_isolated, settings_of
 from farfield_workers.lease import HandedOver, ShardStopped, leased, patiently
+from farfield_workers.news import news
 from farfield_workers.restore import Restorer
 from farfield_workers.settings import WorkerSettings
 from farfield_workers.table import Pipeline
@@ -152,7 +153,8 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
             if checkpoint is not None:
                 handed.begin(until_done.enter_context(artifacts.checkpoint(checkpoint)))
                 call = replace(call, checkpoint=str(handed.mine))
-            found = _compute(pipeline, settings, call, folder / "artifact")
+            with news(engine, held) as told:
+                found = _compute(pipeline, settings, call, folder / "artifact", tell=told.tell)
             artifacts.put_file(folder / "artifact", found.digest)
             seconds, cached = time.perf_counter() - started, False
 
@@ -180,12 +182,14 @@ def _timed(pipeline: Pipeline, held: Claim) -> bool:
     return held.kind in ("run", "merge") and pipeline.steps[Stage(held.stage)].timed(settings_of(held.settings))
 
 
-def _compute(pipeline: Pipeline, settings: WorkerSettings, call: Call, out: Path) -> Result:
+def _compute(
+    pipeline: Pipeline, settings: WorkerSettings, call: Call, out: Path, *, tell: Tell | None = None
+) -> Result:
     if Stage(call.stage) in pipeline.isolated and call.kind == "run":
         return compute_isolated(
             settings.pipeline, call, out, memory_bytes=settings.scene_memory_bytes, seconds=settings.scene_seconds
         )
-    return compute(pipeline, call, out)
+    return compute(pipeline, call, out, tell=tell)
 
 
 def _call(artifacts: Artifacts, held: Claim, pipeline: Pipeline, folder: Path, until_done: ExitStack) -> Call:

@@ -132,7 +132,7 @@ class ShardPageReply(Reply):
 
 class EventReply(Reply):
     seq: int
-    kind: Literal["job", "stage", "shard"]
+    kind: Literal["job", "stage", "shard", "progress"]
     data: dict[str, Any]
     at: Time
 

@@ -31,12 +31,12 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 STALL_S = 60.0  # a reader that takes nothing for so long is left
 CHECK_S = 15.0  # how often the key of an open stream is looked at
-Kind = Literal["job", "stage", "shard"]
+Kind = Literal["job", "stage", "shard", "progress"]
 
 _STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "model": EventPageReply,
-        "description": "text/event-stream: `id` is the event's number, `event` is job, stage or shard, `data` JSON; "
+        "description": "text/event-stream: `id` is the event's number, `event` is job, stage, shard or progress, `data` JSON; "
         "or, for a request that accepts application/json, a page of events",
         "content": {"text/event-stream": {"schema": {"type": "string"}}},
     },

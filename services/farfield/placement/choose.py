@@ -21,7 +21,7 @@ from farfield.placement import kernels
 from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.kernels import Queue, Served, Shown
 
-Progress = Callable[[float, dict], None]
+Progress = Callable[[float, dict], None]  # a share in [0, 1], counters
 TOPS_A_SLICE = 512
 SECONDS_BETWEEN_REPORTS = 0.5
 
@@ -46,7 +46,8 @@ def choose(
     excess      (V,) i64 >= 0, cost of each view above its target; not written to
     end         (C,) i32, see `antichain.subtree_end`
     everywhere  a choice is also shown in views that meet their target, wherever it accelerates
-    progress    called with the share of the excess that is gone and counters, at most twice a second
+    progress    called with the share of the excess that is gone and counters, at most twice a second and once at the end;
+                "over" among them is what each view costs above its target now (V,) i64: read it, do not keep it
     stop        asked several times a second; True ends the loop early
     checkpoint  read at the start, written every few seconds
     """
@@ -67,21 +68,29 @@ def choose(
     while kernels.replay(steps, served, shown, queue, everywhere) == kernels.FULL:
         shown = _with_more_room(shown, queue.counter)
     kernels.fill_queue(served, shown, queue)
+
+    def tell() -> None:
+        over = int(queue.counter[kernels.OVER])
+        counters = {
+            "choices": int(queue.counter[kernels.STEPS]),
+            "excess": over,
+            "bytes": int(queue.counter[kernels.BYTES]),
+        }
+        if progress is not None:
+            progress(1 - over / max(1, total), {**counters, "over": queue.excess})
+
     told = time.monotonic()
     while (state := kernels.advance(served, shown, queue, TOPS_A_SLICE, everywhere)) != kernels.DONE:
         if state == kernels.FULL:
             shown = _with_more_room(shown, queue.counter)
-        chosen, over = int(queue.counter[kernels.STEPS]), int(queue.counter[kernels.OVER])
         if checkpoint is not None:
-            checkpoint.write(queue.step[:chosen])
+            checkpoint.write(queue.step[: int(queue.counter[kernels.STEPS])])
         if stop is not None and stop():
             break
-        if progress is not None and time.monotonic() - told > SECONDS_BETWEEN_REPORTS:
+        if time.monotonic() - told > SECONDS_BETWEEN_REPORTS:
             told = time.monotonic()
-            progress(
-                1 - over / max(1, total),
-                {"choices": chosen, "excess": over, "bytes": int(queue.counter[kernels.BYTES])},
-            )
+            tell()
+    tell()
     n_steps = int(queue.counter[kernels.STEPS])
     if checkpoint is not None:
         checkpoint.write(queue.step[:n_steps], at_once=True)

@@ -56,7 +56,8 @@ def place(
     regions     what parts of the view space chose, all of them: nothing else is chosen from; none: all candidates
     refit       fits a view cell to given cells, see `tighten.Refit`; None: the candidates' own
     alone       offers a cell what is made for it alone; None: `candidates.alone`, or nothing where `refit` is given
-    progress    called with a share in [0, 1] and counters, at most a few times a second
+    progress    called with a share in [0, 1] and counters, at most a few times a second; of arrays among them ("hopeless"
+                (V,) b1, "over" (V,) i64: cost above the target) a copy is to be kept, if anything
     checkpoint  where the greedy keeps its choices
     """
     check_inputs(hierarchy, views, candidates)
@@ -73,7 +74,8 @@ def place(
         candidates = complete(candidates, views, target=model.target, end=end, alone=alone)
     prospects = find_prospects(hierarchy, model, views, candidates, end=end, policy=policy)
     need = views.cost - prospects.target
-    tell(0.1, {"hopeless": int(prospects.hopeless.sum())})
+    facts = {"hopeless": prospects.hopeless, "smallest_budget": prospects.smallest_budget}
+    tell(0.1, {"bytes": 0, "over": need, **facts})
 
     some = candidates
     if regions:
@@ -83,7 +85,8 @@ def place(
         checkpoint=checkpoint, progress=lambda share, counters: tell(0.1 + 0.6 * share, counters),
     )  # fmt: skip
     chosen = rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
-    tell(0.75, {"choices": len(choice.step), "impostors": len(chosen)})
+    solved = np.zeros(len(need), np.int64)  # the rescue leaves no view above its target
+    tell(0.75, {"impostors": len(chosen), "bytes": int(some.bytes[chosen].sum()), "over": solved})
 
     if policy.reverse_delete and not limit.over():
         chosen = improve(some, chosen, need=need, end=end, stop=limit.over)

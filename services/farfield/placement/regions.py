@@ -20,7 +20,7 @@ from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import subtree_end
 from farfield.placement.checkpoint import Checkpoint
-from farfield.placement.choose import choose
+from farfield.placement.choose import Progress, choose
 from farfield.placement.complete import complete
 from farfield.placement.limit import Limit
 from farfield.placement.model import RegionChoice
@@ -48,11 +48,12 @@ def plan_regions(cells: CellTree, views: ProblemViews, n: int) -> list[tuple[int
 
 def choose_in_region(
     hierarchy: Hierarchy, model: CostModel, views: ProblemViews, candidates: Candidates, *, settings: Settings,
-    region: tuple[int, int], alone: Alone | None, checkpoint: Checkpoint | None = None,
+    region: tuple[int, int], alone: Alone | None, checkpoint: Checkpoint | None = None, progress: Progress | None = None,
 ) -> RegionChoice:  # fmt: skip
     """Return what the problem views of the cells [a, b) = region need, chosen as if there were no others.
 
     candidates  all of them; read only (memory maps will do)
+    progress    as in `choose`
     alone       as in `greedy.place`: every region completes the candidates alike, so that ids mean the same
     """
     policy, limit = settings.placement, Limit(settings.placement.time_limit_s)
@@ -65,7 +66,7 @@ def choose_in_region(
     need = cost - targets(cost, best_costs(some, cost, end), model.target, policy)
     choice = choose(
         some, excess=np.maximum(need, 0), end=end, everywhere=policy.assignment == "all", stop=limit.over,
-        checkpoint=checkpoint,
+        checkpoint=checkpoint, progress=progress,
     )  # fmt: skip
     chosen = rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
     return RegionChoice(candidate=which[np.union1d(choice.step, chosen)], stopped=limit.stopped)

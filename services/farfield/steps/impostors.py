@@ -11,6 +11,8 @@ from farfield.steps.model import ONE, Inputs, Shard, cells_of
 
 if TYPE_CHECKING:
     from farfield.placement.checkpoint import Checkpoint
+    from farfield.placement.choose import Progress
+    from farfield.placement.live import Live
 
 
 # 7 candidates -------------------------------------------------------------------------------------------------------
@@ -21,6 +23,8 @@ def _with_maps(inputs: Inputs) -> bool:
 
 
 def candidates_plan(inputs: Inputs) -> list[Shard]:
+    if inputs.tell is not None:
+        _live(inputs).map()
     if _with_maps(inputs):
         from farfield.candidates.environment import plan_shards as cells_shards
 
@@ -79,6 +83,7 @@ def placement(inputs: Inputs, shard: Shard) -> Parts:
     chosen = choose_in_region(
         hierarchy, model, views, inputs.get(Stage.CANDIDATES), settings=inputs.settings, region=(shard[0], shard[1]),
         alone=cells_alone(hierarchy, model, cells_of(inputs), views, inputs.settings), checkpoint=_checkpoint(inputs),
+        progress=_progress(inputs, (shard[0], shard[1])),
     )  # fmt: skip
     return dataclass_parts(chosen)
 
@@ -97,9 +102,30 @@ def _place(inputs: Inputs, regions: Sequence[Any]) -> Parts:
     placement = place(
         inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
         inputs.get(Stage.VIEWSPACE), inputs.get(Stage.CANDIDATES), settings=inputs.settings, regions=choices,
-        checkpoint=checkpoint,
+        checkpoint=checkpoint, progress=_progress(inputs),
     )  # fmt: skip
     return dataclass_parts(placement)
+
+
+def _live(inputs: Inputs, cells: tuple[int, int] | None = None) -> "Live":
+    """Return what tells of the problem views of the cells [a, b), or of all. `inputs.tell` is there."""
+    from farfield.placement.live import Live
+
+    views, scene = inputs.get(Stage.VIEWSPACE), inputs.get(Stage.SCENE)
+    first, last = (0, len(views.cell)) if cells is None else (int(v) for v in np.searchsorted(views.cell, cells))
+    assert inputs.tell is not None
+    return Live(
+        inputs.tell, cells_of(inputs), views, inputs.get(Stage.RENDERTIME), origin=scene.origin_m,
+        views_of=slice(first, last),
+    )  # fmt: skip
+
+
+def _progress(inputs: Inputs, cells: tuple[int, int] | None = None) -> "Progress | None":
+    if inputs.tell is None:
+        return None
+    found = _live(inputs, cells)
+    found.map()
+    return found.progress
 
 
 def _checkpoint(inputs: Inputs) -> "Checkpoint | None":

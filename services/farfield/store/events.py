@@ -14,7 +14,7 @@ from farfield.store.tables import event, job
 
 
 def append(connection: sa.Connection, job_id: str, kind: str, data: dict[str, Any]) -> int:
-    """Write an event within the caller's transaction and return its number. `kind`: "job", "stage" or "shard"."""
+    """Write an event within the caller's transaction and return its number. `kind`: "job", "stage", "shard", "progress"."""
     row = connection.execute(
         sa.update(job)
         .where(job.c.id == job_id)

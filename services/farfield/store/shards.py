@@ -7,7 +7,7 @@ Locks    The job's row first, then the shard's, then the stage's or the tenant's
          PostgreSQL would see deadlocks.
 Fence    A shard on the optimizer queue also takes the job's one optimizer lease, with a token that grows.
 Events   A stage of many shards tells of its failures, and of its progress a hundred times: 10^5 shards would else be
-         2 * 10^5 events for whoever watches.
+         2 * 10^5 events for whoever watches. What a shard says of itself is rare (news.py).
 Cost     No statement reads more than one row of a job's shards: the stage's row counts them.
 """
 

@@ -123,7 +123,7 @@ export interface EventPageReply {
 
 export interface EventReply {
   seq: number;
-  kind: "job" | "stage" | "shard";
+  kind: "job" | "stage" | "shard" | "progress";
   data: Record<string, unknown>;
   /** RFC 3339, UTC */
   at: string;
@@ -330,6 +330,7 @@ export interface PlacementSettings {
   candidates?: "shafts+boxes" | "shafts" | "boxes" | "cells" | "environment";
   far_m?: number;
   view_cells?: "tight" | "raw";
+  density?: number;
   assignment?: "fastest" | "least" | "all";
   reverse_delete?: boolean;
   hopeless?: "near_best" | "geometry";
