@@ -63,8 +63,8 @@ export class LevelMesh {
   private readonly mode = { value: 0 };
   private readonly shared: Record<string, THREE.IUniform>;
   private readonly materials = new Map<THREE.Material, THREE.ShaderMaterial>();
-  private meshes: THREE.Mesh[][] = [];
-  private geometries: THREE.BufferGeometry[][][] = []; // of each object: of each level: of each mesh
+  meshes: THREE.Mesh[][] = []; // of each object
+  geometries: THREE.BufferGeometry[][][] = []; // of each object: of each level: of each mesh
   private readonly drawn: THREE.Object3D[] = [];
 
   constructor(canvas: HTMLCanvasElement, gl: WebGL2RenderingContext, lighting: Lighting) {
