@@ -1,6 +1,6 @@
 /** The API over fetch: same-origin cookie, CSRF token on what changes something, problems as errors with advice. */
 import type { JobRequest, Opening, Problem, Route, UploadListReply, UploadReply, UsageReply } from "./schema";
-import type { DevicePage, EventPage, JobDetail, JobPage, JobState, Scene, SceneObjects, Session, ShardPage, Storage, WorkerPage } from "./types";
+import type { DevicePage, EventPage, JobDetail, JobEvent, JobPage, JobState, Scene, SceneObjects, Session, ShardPage, Storage, WorkerPage } from "./types";
 
 /** The service said no: what is wrong, what to do, and which setting it is about. */
 export class Refused extends Error {
@@ -112,8 +112,8 @@ export const cancelJob = (id: string): Promise<JobDetail> => json("POST /v1/jobs
 export const retryJob = (id: string): Promise<JobDetail> => json("POST /v1/jobs/{job_id}/retry", { path: { job_id: id } });
 export const readShards = (id: string, stage: string): Promise<ShardPage> =>
   json("GET /v1/jobs/{job_id}/stages/{stage}/shards", { path: { job_id: id, stage } });
-export const readEvents = (id: string, after: number, limit: number): Promise<EventPage> =>
-  json("GET /v1/jobs/{job_id}/events", { path: { job_id: id }, query: { after, limit } });
+export const readEvents = (id: string, after: number, limit: number, kind?: JobEvent["kind"]): Promise<EventPage> =>
+  json("GET /v1/jobs/{job_id}/events", { path: { job_id: id }, query: { after, limit, ...(kind ? { kind } : {}) } });
 
 /** The same key never makes two jobs: a click that is sent twice is harmless. */
 export function createJob(request: JobRequest, idempotencyKey: string): Promise<JobDetail> {

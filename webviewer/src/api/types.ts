@@ -24,7 +24,16 @@ export type JobDetail = Omit<JobDetailReply, "settings"> & { settings: Settings 
 export type JobEvent = Omit<EventReply, "data"> & { data: EventData };
 export type EventPage = Omit<EventPageReply, "events"> & { events: JobEvent[] };
 
-/** Which keys are there depends on the kind: job, stage or shard. */
+/** The view space from above as the optimiser tells of it: tiles, in scene metres. */
+export interface LiveMap {
+  boxes: number[]; // low x, low z, high x, high z of each tile
+  cost: number[]; // worst predicted cost as geometry
+  views: number[]; // problem views
+  budget: number;
+  unit: string;
+}
+
+/** Which keys are there depends on the kind: job, stage, shard or progress. */
 export interface EventData {
   state?: string;
   stage?: Stage;
@@ -38,6 +47,15 @@ export interface EventData {
   done?: number;
   verdict?: Verdict | null;
   error?: Partial<JobError>;
+  map?: LiveMap;
+  bytes?: number;
+  choices?: number;
+  impostors?: number;
+  unsolved?: number;
+  hopeless?: number;
+  smallest_budget?: number;
+  tiles?: [number, number][]; // of the tiles that changed: place, unsolved views
+  first?: boolean; // the tiles that it leaves out have none
 }
 
 /** What `farfield inspect` says of a level, without its objects. */

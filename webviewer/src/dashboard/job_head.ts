@@ -11,6 +11,14 @@ import type { Report } from "./report_types";
 
 const HISTORIES = 3;
 
+/** What the optimiser knows before the verdict: views that no candidate helps. */
+export interface Heading {
+  hopeless: number;
+  views: number;
+  smallestBudget: number | null;
+  unit: string;
+}
+
 /** Seconds a stage of the last jobs that are done. */
 export async function readHistories(except: string): Promise<History[]> {
   const { jobs } = await listJobs({ state: "done", limit: HISTORIES + 1 });
@@ -19,7 +27,7 @@ export async function readHistories(except: string): Promise<History[]> {
   return found;
 }
 
-export function drawHead(head: HTMLElement, job: JobDetail, report: Report | null, found: Estimate, does: { cancel: () => void; retry: () => void }): void {
+export function drawHead(head: HTMLElement, job: JobDetail, report: Report | null, heading: Heading | null, found: Estimate, does: { cancel: () => void; retry: () => void }): void {
   if (!head.childElementCount) {
     head.className = "head";
     head.append(h("div"), h("div", { class: "acts" }), h("div", { class: "tobe" }, h("div"), h("p"), h("div")));
@@ -37,10 +45,10 @@ export function drawHead(head: HTMLElement, job: JobDetail, report: Report | nul
     active ? null : h("a", { class: "btn", href: again(job.id) }, "Run again…"),
     job.state === "done" ? h("a", { class: "btn", href: `/compare#a=${encodeURIComponent(job.id)}` }, "Compare…") : null,
     active ? h("button", { class: "btn stop", type: "button", onclick: does.cancel }, "Cancel job…") : null]);
-  const { kind, mark, text } = verdictOf(job, report);
+  const { kind, mark, text } = verdictOf(job, report, heading);
   banner.className = `tobe ${kind}`;
-  refill(banner.children[0], JSON.stringify([job.state, job.verdict]), () => [mark()]);
-  refill(banner.children[1], JSON.stringify([job.state, job.verdict, !!report]), text);
+  refill(banner.children[0], JSON.stringify([job.state, job.verdict, kind]), () => [mark()]);
+  refill(banner.children[1], JSON.stringify([job.state, job.verdict, !!report, heading]), text);
   refill(banner.children[2], JSON.stringify([job.state, job.started_at, job.finished_at, found]), () => progress(job, found));
   (banner as HTMLElement).setAttribute("role", "status");
 }
@@ -63,7 +71,7 @@ interface Told {
   text: () => (Node | string)[];
 }
 
-function verdictOf(job: JobDetail, report: Report | null): Told {
+function verdictOf(job: JobDetail, report: Report | null, heading: Heading | null): Told {
   const b = (text: string): HTMLElement => h("b", null, text);
   if (job.state === "failed") {
     const { error } = job;
@@ -71,6 +79,13 @@ function verdictOf(job: JobDetail, report: Report | null): Told {
     return { kind: "bad", mark: () => stateMark("bad", "fail", where), text: () => [b(sentences(error?.message ?? "The job failed")), " ", sentences(error?.advice, "What was computed before is kept")] };
   }
   if (job.state === "cancelled") return { kind: "", mark: () => stateMark("idle", "cancel", "Cancelled"), text: () => ["What was computed is kept: “Go on” continues from there."] };
+  if (job.verdict === null && job.state === "running" && heading?.hopeless) {
+    const { smallestBudget, unit } = heading;
+    const way = smallestBudget === null ? null : unit === "ns" ? `${Math.ceil(smallestBudget / 1e4) / 100} ms` : `${smallestBudget} ${unit}`;
+    return { kind: "inf", mark: () => stateMark("inf", "infeas", "Heading for infeasible"), text: () => [
+      b(`${count(heading.hopeless)} of ${count(heading.views)}`), ` problem views cannot meet ${job.budget ?? "the budget"} with any impostor. The others look solvable. `,
+      ...(way ? [h("a", { href: again(job.id, way) }, "Smallest budget that would work: ", b(way))] : [])] };
+  }
   if (job.verdict === null) {
     const text = job.state === "queued" ? "The job waits for a worker." : "Whether every view can meet the budget is known once the placement has been evaluated.";
     return { kind: "", mark: () => stateMark("idle", "queue", "Verdict open"), text: () => [text] };

@@ -1,7 +1,7 @@
 /** /jobs/ID: where a job stands, live; once it is done its verdict, map and hopeless views. */
-import { cancelJob, explain, findScene, readEvents, readJob, readReport, readShards, retryJob } from "../api/client";
+import { cancelJob, explain, findScene, readEvents, readJob, readObjects, readReport, readShards, retryJob } from "../api/client";
 import { EventStream, type Line } from "../api/event_stream";
-import type { JobDetail, JobEvent } from "../api/types";
+import type { Box, EventPage, JobDetail, JobEvent } from "../api/types";
 import { estimate, Ratchet, type History } from "./estimate";
 import { h } from "./element";
 import { confirmed, failed, main, note, onKey, openPage, showLine } from "./frame";
@@ -10,30 +10,39 @@ import { hopelessPanel } from "./hopeless";
 import { DigitKeys } from "./digit_keys";
 import { drawHead, readHistories } from "./job_head";
 import { addHistory, apply, emptyState, setShards } from "./job_state";
+import { emptyLive, takeLive } from "./live";
+import { LivePanel } from "./live_panel";
 import { LogDrawer } from "./log_drawer";
+import { liveMapData, readMap } from "./map_data";
 import { readPlan } from "./read_plan";
 import type { Report } from "./report_types";
 import { planCaption } from "./scene_plan";
 import { ShardGrid } from "./shard_grid";
 import { grown, StageStrip } from "./stage_strip";
-import { readMap, ViewMap } from "./view_map";
+import { ViewMap } from "./view_map";
 
 const LOG_EVENTS = 500; // of the past, read for the log
 const REREAD_MS = 400;
+const REDRAW_MS = 250;
 const TICK_MS = 1000;
 
 const id = decodeURIComponent(location.pathname.split("/").filter(Boolean)[1] ?? "");
-await openPage([["1 … 14", "stage by its number"], ["L", "log"], ["V", "stand at the selected cell"]]);
+await openPage([["1 … 14", "stage by its number"], ["L", "log"], ["M", "what the map shows"], ["← → ↑ ↓ + -", "cell, zoom (map focused: arrows)"], ["V", "stand at the selected cell"]]);
 await start().catch((error: unknown) => failed(main, error, "This job cannot be shown", () => location.reload()));
 
 async function start(): Promise<void> {
-  let job = await readJob(id);
+  let [job, past] = await Promise.all([readJob(id), readEvents(id, 0, 1000, "progress").catch(() => ({ events: [], next: 0 }) as EventPage)]);
   let readAtMs = Date.now();
   let histories: History[] = [];
   let report: Report | null = null;
   const state = emptyState();
+  const ended = (): boolean => !["queued", "running"].includes(job.state);
+  let map: ViewMap | null = null;
   const ratchet = new Ratchet();
   const grid = new ShardGrid(state);
+  const live = emptyLive();
+  for (const event of past.events) if (event.seq <= job.last_event) takeLive(live, event);
+  const curves = new LivePanel(live, job.name);
   const log = new LogDrawer(state, job.name, job.stages.map((s) => s.name));
   const strip = new StageStrip((stage) => {
     grid.filter(stage);
@@ -42,16 +51,16 @@ async function start(): Promise<void> {
   const head = h("div");
   const says = h("div", { role: "status", class: "toast" });
   const left = h("div", { class: "col" });
-  const two = h("div", { class: "two" }, left, h("div", { class: "col" }, grid.element));
+  const two = h("div", { class: "two" }, left, h("div", { class: "col" }, ended() && !live.points.length ? null : curves.element, grid.element));
   const below = h("div");
   main.replaceChildren(head, says, strip.element, two, below, log.element);
   document.title = `${job.name} · farfield`;
 
-  const ended = (): boolean => !["queued", "running"].includes(job.state);
   const draw = (): void => {
     const stages = ended() ? job.stages : grown(job.stages, readAtMs);
     const found = estimate(stages, histories);
-    drawHead(head, job, report, { ...found, fraction: ratchet.at(id, found.fraction) }, { cancel: () => void cancel(), retry: () => void retry() });
+    const heading = live.map && { hopeless: live.hopeless, views: live.map.views.reduce((n, v) => n + v, 0), smallestBudget: live.smallestBudget, unit: live.map.unit };
+    drawHead(head, job, report, heading, { ...found, fraction: ratchet.at(id, found.fraction) }, { cancel: () => void cancel(), retry: () => void retry() });
     strip.show(stages);
   };
 
@@ -97,14 +106,26 @@ async function start(): Promise<void> {
     try {
       report = await readReport<Report>({ job: id });
       draw();
-      const map = await readMap(id, report).then((data) => new ViewMap(data, id), () => null);
-      if (map) left.replaceChildren(map.element);
-      const hopeless = hopelessPanel(report, id, (cell) => map?.select(cell));
+      const done = await readMap(id, report).then((data) => new ViewMap(data, id), () => null);
+      if (done) left.replaceChildren((map = done).element);
+      const hopeless = hopelessPanel(report, id, (cell) => done?.select(cell));
       if (hopeless) below.replaceChildren(hopeless);
     } catch (error) {
       says.replaceChildren(note("bad", "fail", "The result cannot be read", explain(error).text));
     }
   }
+
+  let footprints: Box[] | null = null;
+  let mapTimer: ReturnType<typeof setTimeout> | undefined;
+  /** The map of what the optimiser tells, until there is that of the placement. */
+  const drawLive = async (): Promise<void> => {
+    mapTimer = undefined;
+    const done = (): boolean => job.state === "done";
+    if (!live.map || done()) return;
+    footprints ??= await readObjects(job.scene).then(({ objects }) => objects.map((o) => o.box), () => []);
+    if (!map && !done()) left.replaceChildren((map = new ViewMap(liveMapData(live.map, footprints), null)).element);
+    if (live.tiles) map?.setUnsolved(live.tiles);
+  };
 
   async function readAllShards(): Promise<void> {
     for (const stage of job.stages) if (stage.state !== "waiting") setShards(state, stage.name, (await readShards(id, stage.name)).shards);
@@ -112,12 +133,14 @@ async function start(): Promise<void> {
   }
 
   draw();
-  void drawPlan(job, left);
+  if (live.map) void drawLive();
+  else void drawPlan(job, left);
+  for (const key of ["m", "v", "+", "=", "-"]) onKey(key, () => map?.key(key));
   onKey("l", () => log.toggle());
   const digits = new DigitKeys();
   for (let k = 0; k <= 9; k++) onKey(String(k), (e) => strip.pick(digits.press(k, e.timeStamp, job.stages.length) - 1));
   await readAllShards();
-  const past = await readEvents(id, Math.max(0, job.last_event - LOG_EVENTS), LOG_EVENTS);
+  past = await readEvents(id, Math.max(0, job.last_event - LOG_EVENTS), LOG_EVENTS);
   addHistory(state, past.events.filter((e) => e.seq <= job.last_event));
   grid.draw();
   log.changed();
@@ -129,8 +152,12 @@ async function start(): Promise<void> {
   let seenLost = false;
   const stream = new EventStream(id, job.last_event, {
     event: (event: JobEvent) => {
+      if (takeLive(live, event)) {
+        curves.changed();
+        mapTimer ??= setTimeout(() => void drawLive(), REDRAW_MS);
+      }
       if (apply(state, event)) reread();
-      else bump(job, event);
+      else if (event.kind !== "progress") bump(job, event);
       grid.changed();
       log.changed();
     },
@@ -157,7 +184,7 @@ async function drawPlan(job: JobDetail, where: HTMLElement): Promise<void> {
   if (!scene?.bounds || !boxes || where.childElementCount) return;
   const plan = await readPlan(scene, scene.bounds, boxes);
   if (where.childElementCount) return;
-  where.append(h("section", { class: "panel", "aria-labelledby": "ph" }, h("header", null, h("h2", { id: "ph" }, "View space from above"), h("span", { class: "small q" }, "cells are coloured once the job is done")),
+  where.append(h("section", { class: "panel", "aria-labelledby": "ph" }, h("header", null, h("h2", { id: "ph" }, "View space from above"), h("span", { class: "small q" }, "cells are coloured once their costs are known")),
     h("div", { class: "map" }, plan), h("p", { class: "small q2" }, planCaption(boxes))));
 }
 

@@ -3,7 +3,8 @@
  * snapshot, each says what is so and not what has changed.
  */
 import type { JobEvent, ShardKind, ShardRow, ShardState } from "../api/types";
-import { sentences } from "./format";
+import { bytes } from "../ui/format";
+import { plural, sentences } from "./format";
 
 export interface Shard {
   state: ShardState;
@@ -74,6 +75,7 @@ export function apply(state: JobState, event: JobEvent): boolean {
     state.lastEvent = event.seq;
     addLine(state, event);
   }
+  if (event.kind === "progress") return false;
   const { stage, kind, ordinal } = event.data;
   if (event.kind === "shard" && stage && kind && ordinal !== undefined) {
     const list = listOf(state, stage, kind);
@@ -110,6 +112,7 @@ function drop(state: JobState): void {
 }
 
 function addLine(state: JobState, event: JobEvent): void {
+  if (event.data.map) return; // told by the map
   state.log.push(lineOf(event));
   if (state.log.length > MOST_LINES) state.log.splice(0, state.log.length - MOST_LINES);
 }
@@ -127,6 +130,10 @@ export function lineOf(event: JobEvent): LogLine {
     else if (d.state === "ready") line.text = `failed, will be tried again: ${why}`;
     else if (d.state === "failed") line.text = `failed: ${why}`;
     line.level = d.state === "failed" ? "error" : d.state === "ready" || (d.attempt ?? 1) > 1 ? "warn" : "info";
+  } else if (event.kind === "progress") {
+    line.who = d.stage ?? "";
+    line.text = [d.choices !== undefined ? plural(d.choices, "choice") : d.impostors !== undefined ? plural(d.impostors, "impostor") : "",
+      d.bytes !== undefined ? bytes(d.bytes) : "", d.unsolved !== undefined ? `${plural(d.unsolved, "view")} unsolved` : ""].filter(Boolean).join(", ");
   } else if (event.kind === "stage") {
     line.who = d.stage ?? "";
     if (d.state === "skipped") line.text = `skipped: ${d.skipped ?? ""}`;

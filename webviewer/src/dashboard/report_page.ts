@@ -2,7 +2,7 @@
 import { readJob, readReport } from "../api/client";
 import type { JobDetail } from "../api/types";
 import { h } from "./element";
-import { failed, main, openPage, skeleton } from "./frame";
+import { failed, main, onKey, openPage, skeleton } from "./frame";
 import { shortDigest, shortId } from "./format";
 import { curvePanel } from "./curve";
 import { histogramPanel } from "./histogram";
@@ -13,10 +13,11 @@ import type { Report } from "./report_types";
 import { count } from "../ui/format";
 import { viewAddress } from "../ui/view_link";
 import { download } from "../ui/csv";
-import { readMap, ViewMap } from "./view_map";
+import { readMap } from "./map_data";
+import { ViewMap } from "./view_map";
 
 const [kind, item] = location.pathname.split("/").filter(Boolean).map(decodeURIComponent);
-await openPage([["V", "stand at the selected cell of the map"]]);
+await openPage([["V", "stand at the selected cell of the map"], ["+ -", "zoom the map"]]);
 await start().catch((error: unknown) => failed(main, error, "This report cannot be shown", () => location.reload()));
 
 async function start(): Promise<void> {
@@ -43,6 +44,7 @@ async function start(): Promise<void> {
   if (drawn) {
     drawn.element.classList.add("report-part");
     map.replaceChildren(drawn.element);
+    for (const key of ["v", "+", "=", "-"]) onKey(key, () => drawn.key(key));
   }
   const panel = hopelessPanel(report, item, (cell) => drawn?.select(cell));
   if (panel) hopeless.replaceChildren(panel);
