@@ -14,6 +14,7 @@ from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
 TABLES = 32  # of the containers asked for last
+AT_ONCE_BYTES = 256 << 10  # sent in one piece: a stream asks for a thread for each of its pieces, and one more
 
 
 @functools.lru_cache(maxsize=TABLES)
@@ -53,6 +54,9 @@ def slice_response(
             start, stop, status = start + begin, start + end, 206
     if request.method == "HEAD":
         return Response(status_code=status, headers=headers, media_type=media_type)
+    if stop - start <= AT_ONCE_BYTES:
+        body = b"".join(artifacts.stream(digest, start, stop))
+        return Response(body, status_code=status, headers=headers, media_type=media_type)
     return StreamingResponse(
         _begun(artifacts.stream(digest, start, stop)), status_code=status, headers=headers, media_type=media_type
     )

@@ -27,7 +27,8 @@ class State:
     key_use: KeyUse
 
 
-def state_of(request: Request) -> State:
+async def state_of(request: Request) -> State:
+    """Return the state of the app. Asynchronous, so that no thread is asked for it."""
     found = request.app.state.farfield
     assert isinstance(found, State)
     return found

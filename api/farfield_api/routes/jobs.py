@@ -11,8 +11,9 @@ from farfield.store.tables import PRIORITIES
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, WrapValidator
 
+from farfield_api.answers import etag_of
 from farfield_api.auth import Reader, Submitter
-from farfield_api.conditions import etag_of_shown, expect_match
+from farfield_api.conditions import expect_match
 from farfield_api.documented import refusals
 from farfield_api.errors import PreconditionFailed
 from farfield_api.paging import CursorText, DryRun, Limit, Part, Since, Until, cut, read_cursor, seconds
@@ -99,12 +100,12 @@ def list_jobs(
 
 @router.get(
     "/{job_id}", summary="State, stages with their shards, skipped stages with the reason, verdict",
-    responses=refusals("JobNotFound"),
+    response_model=JobDetailReply, responses=refusals("JobNotFound"),
 )  # fmt: skip
-def show(job_id: Id, response: Response, caller: Reader, service: Service) -> JobDetailReply:
-    reply = _shown(service, caller.tenant_id, job_id)
-    response.headers["etag"] = etag_of_shown(reply)
-    return reply
+def show(job_id: Id, caller: Reader, service: Service) -> Response:
+    # As bytes: FastAPI would check the reply once more and write it again, in another thread.
+    body = _shown(service, caller.tenant_id, job_id).model_dump_json().encode()
+    return Response(body, media_type="application/json", headers={"etag": etag_of(body)})
 
 
 @router.get("/{job_id}/stages/{stage}/shards", summary="The shards of a stage", responses=refusals("JobNotFound"))
@@ -174,7 +175,7 @@ def _report(service: State, tenant_id: str, job_id: str) -> bytes:
 
 
 def _shown(service: State, tenant_id: str, job_id: str) -> JobDetailReply:
-    return _detail(jobs.get(service.engine, tenant_id, job_id), jobs.stages_of(service.engine, job_id))
+    return _detail(*jobs.shown(service.engine, tenant_id, job_id))
 
 
 def _detail(row: Any, stages: list[dict[str, Any]]) -> JobDetailReply:

@@ -18,7 +18,7 @@ from farfield.errors import (
 from farfield.stages import Queue
 from farfield.store import counters, events, quotas
 from farfield.store.engine import new_id, now, read, write
-from farfield.store.pages import Cursor, holding, newest_first, owned
+from farfield.store.pages import ALL, Cursor, holding, newest_first, owned
 from farfield.store.progress import Message, drop_shards
 from farfield.store.quotas import Quota
 from farfield.store.shards import anew, lock_job
@@ -101,19 +101,20 @@ def stages_of(engine: sa.Engine, job_id: str) -> list[dict[str, Any]]:
 
 
 def stages_of_all(engine: sa.Engine, job_ids: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
-    """Return `stages_of` for each of the jobs, in three queries whose cost does not grow with the shards that are done."""
+    """Return `stages_of` for each of the jobs, in two queries whose cost does not grow with the shards that are done."""
     with read(engine) as tx:
-        clock = float(tx.scalar(sa.select(now())) or 0.0)
-        rows = tx.execute(
-            sa.select(stage, job.c.finished_at.label("job_ended")).join(job, job.c.id == stage.c.job_id)
-            .where(stage.c.job_id.in_(job_ids)).order_by(stage.c.ordinal)
-        ).all()  # fmt: skip
-        few = tx.execute(
-            sa.select(shard.c.stage_id, shard.c.state, sa.func.count().label("n"))
-            .where(shard.c.job_id.in_(job_ids), shard.c.state.in_(("running", "failed")), shard.c.kind == "run")
-            .group_by(shard.c.stage_id, shard.c.state)
-        )  # fmt: skip
-        counts = {(r.stage_id, r.state): r.n for r in few}
+        return _stages(tx, job_ids)
+
+
+def shown(engine: sa.Engine, tenant_id: str, job_id: str) -> tuple[sa.Row[Any], list[dict[str, Any]]]:
+    """Return `get` and `stages_of`, as they are at one moment. Raises JobNotFound."""
+    with read(engine) as tx:
+        return _row(tx, tenant_id, job_id), _stages(tx, [job_id])[job_id]
+
+
+def _stages(tx: sa.Connection, job_ids: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    rows = tx.execute(_STAGES, {"jobs": list(job_ids)}).all()
+    counts = {(r.stage_id, r.state): r.n for r in tx.execute(_FEW, {"jobs": list(job_ids)})}
     found: dict[str, list[dict[str, Any]]] = {job_id: [] for job_id in job_ids}
     for r in rows:
         by_state = dict.fromkeys(SHARD_STATES, 0)
@@ -121,7 +122,7 @@ def stages_of_all(engine: sa.Engine, job_ids: Sequence[str]) -> dict[str, list[d
         # What neither runs nor has ended waits, or has been dropped with its stage or its job.
         rest = r.n_shards - sum(by_state.values())
         by_state["ready" if r.state == "running" and r.job_ended is None else "cancelled"] = max(rest, 0)
-        ended = r.finished_at if r.finished_at is not None else clock
+        ended = r.finished_at if r.finished_at is not None else r.clock
         found[r.job_id].append({
             "name": r.name, "state": r.state, "skipped": r.skipped, "shards": {"total": r.n_shards, **by_state},
             "seconds": round(ended - r.started_at, 3) if r.started_at is not None else None,
@@ -263,7 +264,25 @@ def delete(
 
 
 def _row(tx: sa.Connection, tenant_id: str, job_id: str) -> sa.Row[Any]:
-    row = tx.execute(sa.select(job).where(job.c.id == job_id, owned(job.c.tenant_id, tenant_id))).one_or_none()
+    row = tx.execute(_OF_ALL if tenant_id == ALL else _OF_TENANT, {"job": job_id, "tenant": tenant_id}).one_or_none()
     if row is None:
         raise JobNotFound(job_id)
     return row
+
+
+# What every look at a job asks, made once: to make a statement takes longer than to run it.
+_OF_ALL = sa.select(job).where(job.c.id == sa.bindparam("job"))
+_OF_TENANT = _OF_ALL.where(job.c.tenant_id == sa.bindparam("tenant"))
+_STAGES = (
+    sa.select(*(stage.c[n] for n in ("id", "job_id", "name", "state", "skipped", "n_shards", "n_done", "started_at",
+                                     "finished_at", "peak_bytes", "artifact_digest")),
+              job.c.finished_at.label("job_ended"), now().label("clock"))
+    .join(job, job.c.id == stage.c.job_id)
+    .where(stage.c.job_id.in_(sa.bindparam("jobs", expanding=True))).order_by(stage.c.ordinal)
+)  # fmt: skip
+_FEW = (
+    sa.select(shard.c.stage_id, shard.c.state, sa.func.count().label("n"))
+    .where(shard.c.job_id.in_(sa.bindparam("jobs", expanding=True)), shard.c.state.in_(("running", "failed")),
+           shard.c.kind == "run")
+    .group_by(shard.c.stage_id, shard.c.state)
+)  # fmt: skip

@@ -223,10 +223,16 @@ def _key(tx: sa.Connection, tenant_id: str, key_id: str, *, alive: bool = False)
 def _valid_key(engine: sa.Engine, key_id: str) -> Any:
     if not re.fullmatch("[0-9a-f]{32}", key_id):
         return None
-    query = sa.select(api_key, tenant.c.is_operator).join(tenant, tenant.c.id == api_key.c.tenant_id)
     with read(engine) as tx:
-        return tx.execute(query.where(api_key.c.id == key_id, _alive())).one_or_none()
+        return tx.execute(_VALID_KEY, {"key": key_id}).one_or_none()
 
 
 def _caller(row: Any) -> Caller:
     return Caller(row.tenant_id, row.id, frozenset(row.scopes.split()), row.name, bool(row.is_operator))
+
+
+# Asked by every request, so made once.
+_VALID_KEY = (
+    sa.select(api_key, tenant.c.is_operator).join(tenant, tenant.c.id == api_key.c.tenant_id)
+    .where(api_key.c.id == sa.bindparam("key"), _alive())
+)  # fmt: skip
