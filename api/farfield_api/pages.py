@@ -39,6 +39,7 @@ def add_pages(app: FastAPI, web: Path) -> None:
     add("/compare", "compare.html")
     add("/workers", "workers.html")
     add("/storage", "storage.html")
+    add("/devices", "devices.html")
     add_with("/jobs/{item}", "job.html")
     add_with("/jobs/{item}/report", "report.html")
     add_with("/viewer/{item}", "viewer.html")

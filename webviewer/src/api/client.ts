@@ -1,6 +1,6 @@
 /** The API over fetch: same-origin cookie, CSRF token on what changes something, problems as errors with advice. */
 import type { JobRequest, Opening, Problem, Route, UploadListReply, UploadReply, UsageReply } from "./schema";
-import type { DevicePage, EventPage, JobDetail, JobEvent, JobPage, JobState, Scene, SceneObjects, Session, ShardPage, Storage, WorkerPage } from "./types";
+import type { Device, DevicePage, EventPage, JobDetail, JobEvent, JobPage, JobState, Scene, SceneObjects, Session, ShardPage, Storage, WorkerPage } from "./types";
 
 /** The service said no: what is wrong, what to do, and which setting it is about. */
 export class Refused extends Error {
@@ -155,6 +155,11 @@ export async function startUpload(file: File, digest: string, signal: AbortSigna
 
 export const readObjects = (digest: string): Promise<SceneObjects> => json("GET /v1/scenes/{digest}/objects", { path: { digest } });
 export const listDevices = (): Promise<DevicePage> => json("GET /v1/devices", { query: { limit: 200 } });
+export const createDevice = (name: string): Promise<Device> => json("POST /v1/devices", { body: { name } });
+export const deleteDevice = (id: string): Promise<void> => json("DELETE /v1/devices/{device_id}", { path: { device_id: id } });
+/** Adds frames and fits the profile to all there are; the same key adds nothing. */
+export const sendSamples = (id: string, samples: readonly object[], key: string): Promise<Device> =>
+  json("POST /v1/devices/{device_id}/samples", { path: { device_id: id }, body: { samples }, headers: { "idempotency-key": key } });
 
 /** The operator's: refused with 403 to anybody else. */
 export const listWorkers = (): Promise<WorkerPage> => json("GET /v1/workers");

@@ -4,7 +4,7 @@
  */
 import type { EventPageReply, EventReply, JobDetailReply, JobError, JobReply, Settings, ShardReply, Stage, StageReply } from "./schema";
 
-export type { DevicePageReply as DevicePage, JobError, JobPageReply as JobPage, JobReply as Job, ShardPageReply as ShardPage, ShardReply as ShardRow, StageReply as StageRow } from "./schema";
+export type { DevicePageReply as DevicePage, DeviceReply as Device, JobError, JobPageReply as JobPage, JobReply as Job, ShardPageReply as ShardPage, ShardReply as ShardRow, StageReply as StageRow } from "./schema";
 
 export type JobState = JobReply["state"];
 export type StageState = StageReply["state"];

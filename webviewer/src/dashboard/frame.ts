@@ -31,7 +31,7 @@ export async function openPage(keys: [string, string][]): Promise<Session> {
   }
 }
 
-const NAV = [["/jobs", "Jobs"], ["/workers", "Workers"], ["/storage", "Storage"]] as const;
+const NAV = [["/jobs", "Jobs"], ["/workers", "Workers"], ["/devices", "Devices"], ["/storage", "Storage"]] as const;
 
 /** Reports and comparisons belong to jobs. */
 function here(href: string): "page" | "true" | null {
