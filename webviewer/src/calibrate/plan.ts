@@ -45,7 +45,7 @@ export function halton(index: number, base: number): number {
 /** The frame that shows what one column costs: as little of the others as it can have. */
 export function alone(column: Column, value: number): Load {
   const impostor = column.startsWith("impostor");
-  const kind = impostor ? column.replace(/^impostor_?/, "") || "impostors" : column;
+  const kind = impostor ? column.replace(/^impostor_/, "") : column;
   const n = kind === "calls" || kind === "impostors" ? value : kind === "pixels" ? Math.ceil(value / SCREENFUL) : impostor ? 1 : Math.ceil(value / LARGEST);
   const triangles = kind === "triangles" ? value : 2 * n;
   const pixels = kind === "pixels" ? value : 64;
