@@ -48,7 +48,7 @@ STEPS: dict[Stage, Step] = {
         Step(stage=Stage.CANDIDATES, version=2, queue=Queue.CPU, inputs=(_S, _H, _R, _VIEW), skip=level.no_problem,
              plan=impostors.candidates_plan, run=impostors.candidates, merge=impostors.candidates_merge,
              reads=(_CAMERA, _QUALITY, "view_space.interval_deg", "placement.candidates", "placement.far_m",
-                    "placement.view_cells")),
+                    "placement.view_cells", "placement.density")),
         Step(stage=Stage.PLACEMENT, version=7, queue=Queue.OPTIMIZER, inputs=(_S, _H, _R, _VIEW, _C),
              plan=impostors.placement_plan, run=impostors.placement, merge=impostors.placement_merge,
              reads=(_CAMERA, _QUALITY, *_CHOOSING),
@@ -64,7 +64,7 @@ STEPS: dict[Stage, Step] = {
              version=4, queue=Queue.OPTIMIZER, inputs=(_H, _VIEW, _C, _P), skip=impostors.bound_skip, plan=one,
              run=impostors.bound, merge=impostors.bound_merge, reads=("placement.bound",), asks=("placement.candidates",)),
         Step(stage=Stage.PLACEMENTDB, need=Need(base_mib=1300),
-             version=5, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
+             version=6, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=one, run=result.placementdb, reads=tuple(f.name for f in fields(Settings))),  # its manifest states them all
         Step(stage=Stage.EVALUATION, need=Need(base_mib=1200),
              version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=result.evaluation_plan,

@@ -65,6 +65,7 @@ class PlacementSettings:
     candidates: Literal["shafts+boxes", "shafts", "boxes", "cells", "environment"] = "shafts+boxes"
     far_m: float = 300.0  # environment: half the side of the cube that stays geometry around each cell, (0, 1e9]
     view_cells: Literal["tight", "raw"] = "tight"  # fitted to the cells they serve, or as generated
+    density: float = 1.0  # of candidates: below 1 fewer of the sets of cells are kept, above 1 more, [0.001, 1000]
     assignment: Literal["fastest", "least", "all"] = "fastest"  # which of its impostors a view shows
     reverse_delete: bool = True  # drop chosen impostors that no view needs
     hopeless: Literal["near_best", "geometry"] = "near_best"  # what views get that cannot meet the budget
@@ -215,6 +216,7 @@ def check(settings: Settings) -> None:
     need(1 <= s.proof.views <= 1000, "proof.views", "must be in 1..1000")
     need(0.5 <= s.proof.confidence <= 0.9999, "proof.confidence", "must be in [0.5, 0.9999]")
     need(0 < s.placement.far_m <= 1e9, "placement.far_m", "must be in (0, 1e9] metres")
+    need(0.001 <= s.placement.density <= 1000, "placement.density", "must be in [0.001, 1000]")
     need(1 <= s.placement.hopeless_slack <= 10, "placement.hopeless_slack", "must be in [1, 10]")
     need(1 <= s.placement.regions <= 64, "placement.regions", "must be in 1..64")
     limit_s = s.placement.time_limit_s

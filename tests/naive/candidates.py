@@ -52,7 +52,7 @@ def along_shaft(apex, axis, box):
 
 def candidates(hierarchy, model, cells, views, settings, nodes):
     """Return rows (cluster, kind, view cell, bytes, layers, cost, [(view, saved)]) sorted as Candidates are."""
-    share, outdone = thinning(hierarchy, model, views)
+    share, outdone = thinning(hierarchy, model, views, density=settings.placement.density)
     floor = impostor_cost(model, triangles=6, pixels=0)
     wanted = settings.placement.candidates
     p = precision(settings)

@@ -89,15 +89,20 @@ class _Work:
     outdone: float
 
 
-def thinning(hierarchy: Hierarchy, model: CostModel, views: ProblemViews) -> tuple[float, float]:
+def thinning(
+    hierarchy: Hierarchy, model: CostModel, views: ProblemViews, *, density: float = 1.0
+) -> tuple[float, float]:  # fmt: skip
     """Return (share, outdone) of `kernels.is_needed`: stricter the more pairs of cluster and problem view there are.
+
+    density  `placement.density`: as if there were that many times fewer pairs; above 1 also where they are few
 
     At (1/4, 1) nine tenths of the pairs where a cluster costs more than the cheapest impostor become entries; the
     constants were measured, see docs/decisions/0010. The pairs are counted in every k-th view.
     """
     pairs = _count_pairs(hierarchy, views, cheapest_cost(model), every=-(-len(views.cell) // COUNTED_VIEWS))
     crowding = max(1.0, 0.9 * pairs / ENTRIES)
-    return min(0.25 * crowding, 0.75), min(1.0, (2 / crowding) ** 2)
+    crowding /= density
+    return min(0.25 * crowding, 0.75), min(1.0 if density <= 1 else density, (2 / crowding) ** 2)
 
 
 def _count_pairs(hierarchy: Hierarchy, views: ProblemViews, floor: int, *, every: int) -> int:
@@ -123,7 +128,7 @@ def _prepare(
     hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews, settings: Settings
 ) -> _Work:  # fmt: skip
     p = precision(settings)
-    share, outdone = thinning(hierarchy, model, views)
+    share, outdone = thinning(hierarchy, model, views, density=settings.placement.density)
     wanted = settings.placement.candidates
     return _Work(
         delta=p.delta, dl=p.dl, screen=rendertime.screen(model), coefficient=_coefficient(model),

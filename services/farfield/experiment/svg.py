@@ -100,9 +100,9 @@ def draw(plot: Mapping[str, Any], *, alone: bool = False) -> str:
     middle = (TOP + y.low_px) / 2
     out.append(f'<text x="14" y="{middle}" text-anchor="middle" transform="rotate(-90 14 {middle})">'
                f'{escape(plot["y"])}</text>')  # fmt: skip
-    if plot["level"] is not None and (at := y.px(plot["level"])) is not None:
-        out.append(f'<line class="level" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        out.append(f'<text class="soft" x="{WIDTH - RIGHT - 4}" y="{at - 5:.1f}" text-anchor="end">'
+    if plot["level"] is not None and (held := y.px(plot["level"])) is not None:
+        out.append(f'<line class="level" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{held:.1f}" y2="{held:.1f}"/>')
+        out.append(f'<text class="soft" x="{WIDTH - RIGHT - 4}" y="{held - 5:.1f}" text-anchor="end">'
                    f'{escape(plot["level_label"])}</text>')  # fmt: skip
     for k, one in enumerate(series):
         out += _series(one, k % COLOURS, x, y)

@@ -2,6 +2,8 @@
 
 import dataclasses
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from farfield.candidates.generate import UNFIT, directions, generate, merge, merged_parts, plan_shards, refit
@@ -170,3 +172,17 @@ def test_raw_directions_cover_the_sphere():
     points = np.random.default_rng(0).normal(size=(2000, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
     assert np.degrees(np.arccos((points @ d.T).max(1))).max() < 11.25 * 0.75
+
+
+def test_density_offers_fewer_or_more_and_picks_as_the_twin_does():
+    given, settings = some("20 calls")
+    hierarchy, counts = given[1], []
+    for density in (0.05, 0.3, 1.0, 5.0, 50.0):
+        at = replace(settings, placement=replace(settings.placement, density=density))
+        counts.append(sum(len(generate(*given, settings=at, nodes=s).cluster) for s in plan_shards(hierarchy)))
+    assert counts[0] < counts[1] < counts[2] < counts[3] == counts[4], counts  # then all that help are offered
+    at = replace(settings, placement=replace(settings.placement, density=0.05))
+    nodes = plan_shards(hierarchy)[0]
+    found, expected = generate(*given, settings=at, nodes=nodes), naive.candidates(*given[1:], at, nodes)
+    np.testing.assert_array_equal(found.view_cell, [row[2] for row in expected])
+    np.testing.assert_array_equal(found.bytes, [row[3] for row in expected])
