@@ -8,6 +8,7 @@
     │   └── NotColumns, ColumnsTooNew, ColumnsTruncated, ColumnsAltered, PlacementFileMissing
     ├── CalibrationError      measured frames that no device profile can be fitted to exit 3, HTTP 422
     │   └── SamplesInvalid, SamplesTooFew, SamplesDegenerate, DeviceNotCalibrated
+    ├── BaseUnfit             a placement that another cannot start from             exit 3, HTTP 422
     ├── OutsideViewSpace      a camera position outside the view space               exit 3, HTTP 422
     ├── DirectionInvalid      a view direction of length 0, or not finite            exit 3
     ├── ExportError           what is asked for cannot be exported                   exit 3
@@ -199,6 +200,15 @@ class DeviceNotCalibrated(CalibrationError):
 
     def __init__(self, name: str, why: str) -> None:
         super().__init__(f"device {name!r} has no profile yet: {why}")
+
+
+class BaseUnfit(FarfieldError):
+    """A placement that another cannot start from."""
+
+    advice = "Place from scratch, or start from a placement that was made with the same settings by this version."
+
+    def __init__(self, why: str) -> None:
+        super().__init__(f"the base does not fit: {why}")
 
 
 class OutsideViewSpace(FarfieldError):

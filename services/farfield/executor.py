@@ -51,10 +51,11 @@ class _Paths:
     scene_file: Path
     artifacts: dict[Stage, Path]
     digests: dict[Stage, str]
+    base: Path | None = None
 
     def inputs(self, step: Step, checkpoint: Path | None = None) -> Inputs:
         mapped = {stage: map_file(self.artifacts[stage]) for stage in step.inputs}
-        return Inputs(self.settings, mapped, self.digests, self.scene_file, checkpoint)
+        return Inputs(self.settings, mapped, self.digests, self.scene_file, checkpoint, base=self.base)
 
 
 def map_file(path: Path) -> Any:
@@ -142,16 +143,16 @@ def _end_with_parent() -> None:
 class Executor:
     """Walks the pipeline over one scene; artifacts live as files in `work`.
 
-    With `cache`, a folder that may serve any number of jobs at once, they live there under their keys and stay: what
-    another job did already is not done again.
+    `base` is the folder of the job whose placement `placement.base` names. With `cache`, a folder that may serve any
+    number of jobs at once, artifacts live there under their keys and stay: what another job did already is not done again.
     """
 
     def __init__(
         self, scene_file: Path, settings: Settings, work: Path, *, workers: int, progress: Progress,
-        cache: Path | None = None,
+        cache: Path | None = None, base: Path | None = None,
     ) -> None:  # fmt: skip
         self.work, self.workers, self.progress, self.cache = work, workers, progress, cache
-        self.paths = _Paths(settings, scene_file, {}, {})
+        self.paths = _Paths(settings, scene_file, {}, {}, base)
         self.stages: list[StageRun] = []
         self._pool: ProcessPoolExecutor | None = None
         self._others: set[BaseProcess] = set()

@@ -73,6 +73,7 @@ class PlacementSettings:
     regions: int = 1  # 1..64 parts of the view space, optimised apart and merged
     bound: Literal["auto", "lp", "lagrangian", "off"] = "auto"  # how to prove what no placement can weigh less than
     time_limit_s: float | None = None  # of optimising, wall clock, > 0; None: as long as it takes
+    base: str | None = None  # what `place --from` keeps: manifest_sha256 of an earlier placement; None: from scratch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,6 +221,9 @@ def check(settings: Settings) -> None:
     need(1 <= s.placement.hopeless_slack <= 10, "placement.hopeless_slack", "must be in [1, 10]")
     need(1 <= s.placement.regions <= 64, "placement.regions", "must be in 1..64")
     limit_s = s.placement.time_limit_s
+    base = s.placement.base
+    need(base is None or re.fullmatch("[0-9a-f]{64}", base) is not None, "placement.base", "must be a SHA-256 in hex digits")
+    need(base is None or s.placement.candidates != "environment", "placement.base", "environment maps are placed whole")
     need(limit_s is None or limit_s > 0, "placement.time_limit_s", "must be a positive number of seconds")
 
 

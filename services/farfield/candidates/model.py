@@ -1,6 +1,6 @@
 """The output of stage 7."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,6 +25,8 @@ class Candidates:
     row: np.ndarray  # (N+1,) i64
     view: np.ndarray  # (E,) i32  problem views served, ascending
     saved: np.ndarray  # (E,) i64  cost of the cluster's geometry in that view minus `cost`, > 0
+    # (N,) i32  impostor of the base (`placement.base`) that it is, its bytes and cost measured; -1: none; (0,): no base
+    base: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
 
 
 def take(candidates: Candidates, which: np.ndarray) -> Candidates:
@@ -36,4 +38,5 @@ def take(candidates: Candidates, which: np.ndarray) -> Candidates:
         cluster=candidates.cluster[which], kind=candidates.kind[which], view_cell=candidates.view_cell[which],
         bytes=candidates.bytes[which], layers=candidates.layers[which], cost=candidates.cost[which], row=row,
         view=candidates.view[at], saved=candidates.saved[at],
+        base=candidates.base[which] if len(candidates.base) else candidates.base,
     )  # fmt: skip

@@ -21,7 +21,7 @@ from farfield.settings import Settings, check, from_mapping
 from farfield.stages import Stage
 from farfield.steps.result import write_files
 
-WRITTEN = ("scene.glb", "report.json", "placement")  # what a job leaves in its folder
+WRITTEN = ("scene.glb", "base.ffc", "report.json", "placement")  # what a job leaves in its folder
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -42,6 +42,10 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--cache", type=Path, metavar="DIR",
         help="keep the work of every stage here: the next job does only what its scene or settings changed",
+    )  # fmt: skip
+    parser.add_argument(
+        "--from", type=Path, dest="base", metavar="DIR",
+        help="keep what still holds of the placement in DIR, an earlier --out: only what it leaves unsolved is placed",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the report as JSON and nothing else")
     parser.set_defaults(run=run)
@@ -98,6 +102,14 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise SettingsInvalid("--workers", "must be at least 1")
     settings = load_settings(args.settings, args.budget, args.device)
+    if settings.placement.base is not None:
+        raise SettingsInvalid("placement.base", "is what --from states; leave it out of the settings")
+    if args.base is not None:
+        from farfield.placementdb.base import open_base
+
+        named = replace(settings.placement, base=open_base(args.base, settings).sha256)
+        settings = replace(settings, placement=named)
+        check(settings)
     if not args.scene.is_file():
         raise SceneNotAFile(f"{args.scene} is not a file")
     work = _work_folder(args.scene, args.out)
@@ -113,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
                 )
 
             with Executor(
-                args.scene, settings, work, workers=args.workers, progress=show, cache=args.cache
+                args.scene, settings, work, workers=args.workers, progress=show, cache=args.cache, base=args.base
             ) as executor:  # fmt: skip
                 for stage in Stage:
                     bars.start_task(tasks[stage])

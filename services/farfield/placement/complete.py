@@ -75,9 +75,10 @@ def _joined(candidates: Candidates, added: Sequence[Candidates]) -> Candidates:
     at = np.searchsorted(candidates.cluster, more.cluster, side="right")
     put = lambda name: np.insert(getattr(candidates, name), at, getattr(more, name), axis=0)  # noqa: E731
     count = np.diff(more.row)
+    base = np.insert(candidates.base, at, -1) if len(candidates.base) else candidates.base
     entry = np.repeat(candidates.row[at], count)
     return Candidates(
         cluster=put("cluster"), kind=put("kind"), view_cell=put("view_cell"), bytes=put("bytes"), layers=put("layers"),
         cost=put("cost"), row=np.cumsum(np.concatenate([[0], np.insert(np.diff(candidates.row), at, count)])),
-        view=np.insert(candidates.view, entry, more.view), saved=np.insert(candidates.saved, entry, more.saved),
+        view=np.insert(candidates.view, entry, more.view), saved=np.insert(candidates.saved, entry, more.saved), base=base,
     )  # fmt: skip

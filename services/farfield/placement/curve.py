@@ -96,6 +96,7 @@ def gather(candidates: Candidates, chosen: np.ndarray, n_views: int) -> tuple[Im
     impostors = Impostors(
         cluster=candidates.cluster[chosen], kind=candidates.kind[chosen], view_cell=candidates.view_cell[chosen],
         bytes=candidates.bytes[chosen], layers=candidates.layers[chosen], cost=candidates.cost[chosen],
+        base=candidates.base[chosen] if len(candidates.base) else candidates.base,
     )  # fmt: skip
     return impostors, Offers(row=row, id=id, saved=saved)
 

@@ -7,6 +7,8 @@ Method   `prospects` finds what is out of reach and sets the targets; `choose` r
          `tighten` fits view cells to where they are needed, and `prune` follows, because tightened impostors cost less;
          `assign` says what each view shows; `evaluate` adds everything up from scratch, and must agree. Integers
          throughout, ties by id.
+Base     Candidates that a base has built (`base`) are chosen from the start, and stay as they are unless no view needs them.
+         No search near by, and no curve: either would build the level anew.
 Anytime  Where time is limited, the greedy, then the rescue, are cut short: every view then meets its target at the price
          of more bytes. What comes after only saves bytes, and stops where it is.
 After    Jeschke, Wimmer, Schumann, Purgathofer. Automatic Impostor Placement for Guaranteed Frame Rates and Low Memory
@@ -25,12 +27,13 @@ from farfield.geometry.cells import CellTree
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import Offers, subtree_end
 from farfield.placement.assign import fastest, least
+from farfield.placement.base import choose_from
 from farfield.placement.checkpoint import Checkpoint
 from farfield.placement.choose import Progress, choose
 from farfield.placement.complete import complete
 from farfield.placement.curve import gather, trace
 from farfield.placement.evaluate import evaluate
-from farfield.placement.improve import improve
+from farfield.placement.improve import MOVES_AN_IMPOSTOR, improve
 from farfield.placement.limit import Limit
 from farfield.placement.maps import place_maps
 from farfield.placement.model import Placement, RegionChoice
@@ -77,26 +80,29 @@ def place(
     facts = {"hopeless": prospects.hopeless, "smallest_budget": prospects.smallest_budget}
     tell(0.1, {"bytes": 0, "over": need, **facts})
 
-    some = candidates
-    if regions:
-        some = take(candidates, np.unique(np.concatenate([r.candidate for r in regions])))
-    choice = choose(
-        some, excess=np.maximum(need, 0), end=end, everywhere=policy.assignment == "all", stop=limit.over,
-        checkpoint=checkpoint, progress=lambda share, counters: tell(0.1 + 0.6 * share, counters),
-    )  # fmt: skip
-    chosen = rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
+    some, based = candidates, len(candidates.base) > 0
+    if based:
+        step = chosen = choose_from(candidates, need=need, end=end, stop=limit.over)
+    else:
+        if regions:
+            some = take(candidates, np.unique(np.concatenate([r.candidate for r in regions])))
+        choice = choose(
+            some, excess=np.maximum(need, 0), end=end, everywhere=policy.assignment == "all", stop=limit.over,
+            checkpoint=checkpoint, progress=lambda share, counters: tell(0.1 + 0.6 * share, counters),
+        )  # fmt: skip
+        step, chosen = choice.step, rescue(some, choice.chosen, need=need, end=end, stop=limit.over)
     solved = np.zeros(len(need), np.int64)  # the rescue leaves no view above its target
     tell(0.75, {"impostors": len(chosen), "bytes": int(some.bytes[chosen].sum()), "over": solved})
 
     if policy.reverse_delete and not limit.over():
-        chosen = improve(some, chosen, need=need, end=end, stop=limit.over)
+        chosen = improve(some, chosen, need=need, end=end, moves=0 if based else MOVES_AN_IMPOSTOR, stop=limit.over)
     impostors, offers = gather(some, chosen, len(need))
     tell(0.85, {"impostors": len(impostors.cluster), "bytes": int(impostors.bytes.sum())})
 
     def fit(impostors: Impostors, offers: Offers, needed: np.ndarray) -> tuple[Impostors, Offers]:
         return tighten(
             impostors, offers, needed=needed, view_cell=views.cell, hierarchy=hierarchy, cells=cells,
-            refit=refit or _candidates_refit(model, settings), stop=limit.over,
+            refit=refit or candidates_refit(model, settings), stop=limit.over,
         )  # fmt: skip
 
     tight = policy.view_cells == "tight"
@@ -126,9 +132,9 @@ def place(
         )
     points = list(
         trace(
-            impostors, offers, take(some, np.union1d(choice.step, chosen)), model=model, cost=views.cost,
+            impostors, offers, take(some, np.union1d(step, chosen)), model=model, cost=views.cost,
             target=prospects.target, end=end, fit=fit if tight else lambda impostors, offers, needed: (impostors, offers),
-            stop=limit.over,
+            stop=(lambda: True) if based else limit.over,
         )
     )  # fmt: skip
     tell(1.0, {"impostors": len(impostors.cluster), "bytes": int(impostors.bytes.sum())})
@@ -139,7 +145,7 @@ def place(
         culprit_row=prospects.culprit_row, culprit=prospects.culprit, smallest_budget=prospects.smallest_budget,
         curve_budget=np.array([p.budget for p in points], np.int64), curve_bytes=np.array([p.bytes for p in points], np.int64),
         curve_over=np.array([p.over for p in points], np.int64),
-        stopped=limit.stopped or any(r.stopped for r in regions),
+        stopped=limit.stopped or any(r.stopped for r in regions), base=impostors.base,
     )  # fmt: skip
 
 
@@ -171,7 +177,8 @@ def cells_alone(
     return partial(candidates_for, hierarchy=hierarchy, model=model, cells=cells, views=views, settings=settings)
 
 
-def _candidates_refit(model: CostModel, settings: Settings) -> Refit:
+def candidates_refit(model: CostModel, settings: Settings) -> Refit:
+    """Return what fits a view cell to given cells as candidates are fitted."""
     from farfield.candidates.generate import refit
 
     return partial(refit, model=model, settings=settings)

@@ -1,6 +1,6 @@
 """The output of stage 8, and of its shards where the view space is optimised in regions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,6 +34,21 @@ class Placement:
     )  # (K,) i64  ... bytes that were found to suffice there (estimates, like `bytes` before `repair`) ...
     curve_over: np.ndarray  # (K,) i64  ... for all problem views but so many
     stopped: bool  # a wall-clock limit cut the search short: another run may end elsewhere
+    # (I,) i32  impostor of the base (`placement.base`) that it is, -1: to be baked; (0,) without a base
+    base: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
+
+
+def fresh_of(placement: Placement) -> np.ndarray:
+    """Return the impostors (F,) i64 that no base has baked, ascending: all of them where there is none."""
+    return np.flatnonzero(placement.base < 0) if len(placement.base) else np.arange(len(placement.cluster))
+
+
+def only_fresh(placement: Placement) -> Placement:
+    """Return the placement with the impostors that are to be baked alone, shown nowhere: what the bake reads."""
+    if not len(placement.base):
+        return placement
+    of_impostor = ("cluster", "kind", "view_cell", "bytes", "layers", "cost", "base")
+    return replace(placement, **{name: getattr(placement, name)[fresh_of(placement)] for name in of_impostor})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

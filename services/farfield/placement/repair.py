@@ -19,7 +19,7 @@ from farfield.hierarchy.model import Hierarchy
 from farfield.placement.antichain import Offers, subtree_end
 from farfield.placement.assign import fastest
 from farfield.placement.evaluate import evaluate
-from farfield.placement.model import Placement
+from farfield.placement.model import Placement, fresh_of
 from farfield.rendertime.model import CostModel
 from farfield.viewspace.cost import cluster_costs
 from farfield.viewspace.model import ProblemViews
@@ -31,10 +31,17 @@ def repair(
 ) -> Placement:  # fmt: skip
     """Return the placement with measured figures, each view evaluated from scratch on them.
 
-    measured_bytes, measured_cost, layers  (I,) i64, i64, i32, by impostor id. One that could not be baked is given a
-                                           cost that nothing exceeds, such as 2**40, and so is shown nowhere new.
+    measured_bytes, measured_cost, layers  (F,) i64, i64, i32, of the impostors that no base has baked. One that could not
+                                           be is given a cost that nothing exceeds, such as 2**40, and so is shown
+                                           nowhere new.
     """
     bytes, cost = np.asarray(measured_bytes, np.int64), np.asarray(measured_cost, np.int64)
+    if len(placement.base):  # those of the base were measured then
+        fresh = fresh_of(placement)
+        bytes, cost, layers = (
+            _put(old, fresh, new)
+            for old, new in ((placement.bytes, bytes), (placement.cost, cost), (placement.layers, layers))
+        )
     assert bytes.shape == cost.shape == placement.cluster.shape == np.shape(layers)
 
     def costs(row: np.ndarray, serve: np.ndarray) -> np.ndarray:
@@ -53,6 +60,12 @@ def repair(
         view_cost=view_cost,
     )  # fmt: skip
     return _without_false_despair(mended, model, views)
+
+
+def _put(column: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
+    out = column.copy()
+    out[at] = values
+    return out
 
 
 def _without_false_despair(placement: Placement, model: CostModel, views: ProblemViews) -> Placement:

@@ -11,7 +11,7 @@ Tried    A town of 4,000 houses, 6,343 views, 20.6 MB before: to where `least` s
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,12 +33,14 @@ class Impostors:
     bytes: np.ndarray  # (I,) i64
     layers: np.ndarray  # (I,) i32
     cost: np.ndarray  # (I,) i64
+    base: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))  # (I,) i32, or (0,) without a base
 
     def take(self, which: np.ndarray) -> "Impostors":
         """Return those at `which`: a mask or positions."""
         return Impostors(
             cluster=self.cluster[which], kind=self.kind[which], view_cell=self.view_cell[which],
             bytes=self.bytes[which], layers=self.layers[which], cost=self.cost[which],
+            base=self.base[which] if len(self.base) else self.base,
         )  # fmt: skip
 
 
@@ -46,7 +48,8 @@ def tighten(
     impostors: Impostors, offers: Offers, *, needed: np.ndarray, view_cell: np.ndarray, hierarchy: Hierarchy,
     cells: CellTree, refit: Refit, stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Impostors, Offers]:  # fmt: skip
-    """Return the impostors with view cells fitted to where they are needed, and what they offer then.
+    """Return the impostors with view cells fitted to where they are needed, and what they offer then; those of a base as
+    they are.
 
     needed     (S,) b1, offers that some view cannot do without
     view_cell  (V,) i32, leaf cell of each problem view
@@ -65,7 +68,7 @@ def tighten(
         if stop():
             break
         served = kept[first[s] : first[s + 1]] - s * n_cells
-        if len(served):
+        if len(served) and not (len(impostors.base) and impostors.base[s] >= 0):
             k, fitted, b, m, c = refit(hierarchy.box[impostors.cluster[s]], cell_box[served])
             if b <= bytes[s] and c <= cost[s]:
                 refitted[s] = True
@@ -75,6 +78,6 @@ def tighten(
     count = np.concatenate([[0], np.cumsum(stay)])
     cheaper = (impostors.cost - cost)[offers.id]
     return (
-        Impostors(cluster=impostors.cluster, kind=kind, view_cell=shape, bytes=bytes, layers=layers, cost=cost),
+        replace(impostors, kind=kind, view_cell=shape, bytes=bytes, layers=layers, cost=cost),
         Offers(row=count[offers.row].astype(np.int64), id=offers.id[stay], saved=(offers.saved + cheaper)[stay]),
     )

@@ -1,18 +1,23 @@
 """Stages 7 to 9: which impostors could be built, which are, and what they show and weigh."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from farfield.columns import Parts, dataclass_parts, unpack_dataclass
+from farfield.errors import BaseUnfit
 from farfield.stages import Stage
 from farfield.steps.model import ONE, Inputs, Shard, cells_of
 
 if TYPE_CHECKING:
+    from farfield.candidates.model import Candidates
     from farfield.placement.checkpoint import Checkpoint
     from farfield.placement.choose import Progress
     from farfield.placement.live import Live
+    from farfield.placement.model import Placement
+    from farfield.placementdb.base import BaseFiles
 
 
 # 7 candidates -------------------------------------------------------------------------------------------------------
@@ -25,6 +30,8 @@ def _with_maps(inputs: Inputs) -> bool:
 def candidates_plan(inputs: Inputs) -> list[Shard]:
     if inputs.tell is not None:
         _live(inputs).map()
+    if inputs.settings.placement.base is not None:
+        return ONE
     if _with_maps(inputs):
         from farfield.candidates.environment import plan_shards as cells_shards
 
@@ -38,6 +45,8 @@ def candidates(inputs: Inputs, shard: Shard) -> Parts:
     from farfield.candidates.environment import generate_maps
     from farfield.candidates.generate import generate
 
+    if shard == ONE[0]:
+        return dataclass_parts(_on_base(inputs))
     if _with_maps(inputs):
         maps = generate_maps(
             inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs), inputs.get(Stage.VIEWSPACE),
@@ -49,6 +58,42 @@ def candidates(inputs: Inputs, shard: Shard) -> Parts:
         inputs.get(Stage.VIEWSPACE), settings=inputs.settings, nodes=(shard[0], shard[1]),
     )  # fmt: skip
     return dataclass_parts(found)
+
+
+def _on_base(inputs: Inputs) -> "Candidates":
+    """Return what the base offers, and candidates for the problem views that it leaves above the budget."""
+    from farfield.candidates.generate import generate, joined, plan_shards
+    from farfield.placement.antichain import subtree_end
+    from farfield.placement.base import keep, lacking, with_fresh
+    from farfield.placement.greedy import candidates_refit
+    from farfield.scene.identity import object_digests
+    from farfield.viewspace.model import take
+
+    scene, hierarchy, model = inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME)
+    views, cells = inputs.get(Stage.VIEWSPACE), cells_of(inputs)
+    kept = keep(
+        open_base(inputs).read(), scene, object_digests(scene), hierarchy, cells, views,
+        refit=candidates_refit(model, inputs.settings),
+    )  # fmt: skip
+    short = lacking(kept, need=views.cost - model.target, end=subtree_end(hierarchy.start, hierarchy.stop))
+    if not len(short):
+        return kept
+    given = scene, hierarchy, model, cells, take(views, short)
+    fresh = joined([generate(*given, settings=inputs.settings, nodes=nodes) for nodes in plan_shards(hierarchy)])
+    return with_fresh(kept, replace(fresh, view=short[fresh.view].astype(np.int32)))
+
+
+def open_base(inputs: Inputs) -> "BaseFiles":
+    """Return the base that the settings name. Raises BaseUnfit where it is not at hand, or another."""
+    from farfield.placementdb.base import open_base
+
+    wanted = inputs.settings.placement.base
+    if inputs.base is None:
+        raise BaseUnfit("its files are not here; `farfield place --from DIR` brings them")
+    base = open_base(inputs.base, inputs.settings)
+    if base.sha256 != wanted:
+        raise BaseUnfit(f"{inputs.base} holds placement {base.sha256[:16]}, not {str(wanted)[:16]}")
+    return base
 
 
 def candidates_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
@@ -68,7 +113,7 @@ def placement_plan(inputs: Inputs) -> list[Shard]:
     from farfield.placement.regions import plan_regions
 
     regions = []
-    if inputs.settings.placement.regions > 1 and not _with_maps(inputs):
+    if inputs.settings.placement.regions > 1 and not _with_maps(inputs) and inputs.settings.placement.base is None:
         regions = plan_regions(cells_of(inputs), inputs.get(Stage.VIEWSPACE), inputs.settings.placement.regions)
     return [[a, b] for a, b in regions] if len(regions) > 1 else ONE
 
@@ -141,17 +186,27 @@ def nothing_chosen(inputs: Inputs) -> str | None:
     return None if len(inputs.get(Stage.PLACEMENT).cluster) else "no impostor was chosen"
 
 
+def nothing_to_bake(inputs: Inputs) -> str | None:
+    return nothing_chosen(inputs) or (None if len(_to_bake(inputs).cluster) else "the base has baked every impostor")
+
+
+def _to_bake(inputs: Inputs) -> "Placement":
+    from farfield.placement.model import only_fresh
+
+    return only_fresh(inputs.get(Stage.PLACEMENT))
+
+
 def bake_plan(inputs: Inputs) -> list[Shard]:
     from farfield.bake.bake import plan_batches
 
-    return [[int(a), int(b)] for a, b in plan_batches(inputs.get(Stage.PLACEMENT))]
+    return [[int(a), int(b)] for a, b in plan_batches(_to_bake(inputs))]
 
 
 def bake(inputs: Inputs, shard: Shard) -> Parts:
     from farfield.bake.bake import bake_batch
 
     baked = bake_batch(
-        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), inputs.get(Stage.PLACEMENT),
+        inputs.get(Stage.SCENE), inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), _to_bake(inputs),
         settings=inputs.settings, impostors=(shard[0], shard[1]), renderer="auto",
     )  # fmt: skip
     return dataclass_parts(baked)
@@ -179,6 +234,8 @@ def repair(inputs: Inputs, shard: Shard) -> Parts:
 def bound_skip(inputs: Inputs) -> str | None:
     off = "placement.bound is off" if inputs.settings.placement.bound == "off" else None
     whole = "environment maps are placed whole: nothing was chosen" if _with_maps(inputs) else None
+    if inputs.settings.placement.base is not None:
+        whole = "there are no candidates for what the base keeps: a bound would speak of the others only"
     return off or whole or nothing_chosen(inputs)
 
 

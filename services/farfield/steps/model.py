@@ -29,6 +29,7 @@ class Inputs:
     scene_file: Path | None = None
     checkpoint: Path | None = None  # a file that outlives a killed run and is named by the shard's key, if there is one
     tell: Callable[[dict[str, Any]], None] | None = None  # hears how far a long shard is; shapes nothing, may be called often
+    base: Path | None = None  # the folder of the job whose placement `placement.base` names
 
     def get(self, stage: Stage) -> Any:
         """Return the decoded artifact of a stage: its frozen dataclass."""

@@ -1,6 +1,6 @@
 """The output of stage 6."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,3 +28,14 @@ class ProblemViews:
     list_through: np.ndarray  # (D,) i64  cost of the list's objects up to and with this one
     cell_cost: np.ndarray  # (L,) i64  worst bound over the intervals of each leaf cell that were looked at (the map)
     worst_nonproblem: int  # largest bound of a leaf interval or pruned node that is within the target
+
+
+def take(views: ProblemViews, which: np.ndarray) -> ProblemViews:
+    """Return the views of these ids (M,), ascending; id k of the result is which[k]. Lists stay as they are."""
+    first, count = views.row[which], np.diff(views.row)[which]
+    row = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    at = np.repeat(first - row[:-1], count) + np.arange(row[-1])
+    return replace(
+        views, cell=views.cell[which], interval=views.interval[which], cost=views.cost[which], row=row, run=views.run[at],
+        before=views.before[at], list=views.list[which],
+    )  # fmt: skip
