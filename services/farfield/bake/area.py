@@ -40,7 +40,7 @@ def layer_starts(slabs: Slabs) -> np.ndarray:
 
 
 @njit(cache=True)
-def _sample_band(sources: Any, pieces: Any, slabs: Any, surface: Any, k: int, row: int, last_row: int, owner: Any,
+def sample_band(sources: Any, pieces: Any, slabs: Any, surface: Any, k: int, row: int, last_row: int, owner: Any,
                  depth: Any) -> None:  # fmt: skip
     """Fill owner and depth (texels of the rows, 16) of layer k with the nearest piece at each point."""
     edge = np.empty((3, 4), np.int64)
@@ -104,7 +104,7 @@ def _sample(sources: Any, pieces: Any, slabs: Any, surface: Any, first: int, las
             until = min(row + rows, size[1])
             owner[: (until - row) * size[0]] = NOTHING
             depth[: (until - row) * size[0]] = np.inf
-            _sample_band(sources, pieces, slabs, surface, k, low[1] + row, low[1] + until, owner, depth)
+            sample_band(sources, pieces, slabs, surface, k, low[1] + row, low[1] + until, owner, depth)
             for y in range(row, until):
                 for x in range(size[0]):
                     found = sheet[at[1] + y, at[0] + x]

@@ -1,7 +1,7 @@
 """Bake impostors: plan layers, clip, record, shade, crop; in batches that merge to the same bytes however cut.
 
 Problem  Each impostor of a placement becomes textured layers that show its cluster from its whole view cell.
-Method   plan -> gather -> cut -> lay_out -> record -> shade -> crop, one impostor at a time. Recording is exact
+Method   plan -> take (gather, cut, lay out) -> record -> shade -> crop, one impostor at a time. Recording is exact
          in integers (`coverage`), on OpenGL (`gl`) or numba: the same sheet, hence the same tiles, byte for byte.
          Bytes and cost are then measured on what was stored, and never exceed the estimate that chose the impostor.
 Renderer "egl" needs a context, "numba" does not; "auto" is egl where a context can be had, else numba. Which it was is
@@ -22,14 +22,13 @@ import numpy as np
 from farfield.bake import coverage
 from farfield.bake.area import compose, layer_starts, sample
 from farfield.bake.beside import mark_beside
-from farfield.bake.clip import bound, cut, gather
 from farfield.bake.crop import Cropped, crop
 from farfield.bake.gl.context import NoContext
 from farfield.bake.model import BakedLayers
 from farfield.bake.records import Surface
 from farfield.bake.shade import DECODE, ENCODE, LIGHTS
-from farfield.bake.sheets import lay_out
 from farfield.bake.textures import Pyramids, decode
+from farfield.bake.thin import take
 from farfield.candidates.environment import Planner
 from farfield.hierarchy.model import Hierarchy
 from farfield.impostor.kernels import cut_triangles
@@ -149,13 +148,11 @@ def bake_batch(
             f"{scene.object_name[o]}: blended, left out" for o in range(a, b) if not scene.object_replaceable[o]
         ]
         surface = _surface(scene, (a, b), pyramids)
-        sources = gather(scene, (a, b), plan, kind=kind, view_cell=cell)
-        pieces = cut(sources, plan)
-        slabs = bound(pieces, plan)
+        sources, pieces, slabs, sheets = take(scene, (a, b), plan, surface, record, kind=kind, view_cell=cell)
         first, texels, triangles, pixels = len(rows.layer), 0, 0, 0.0
         start = layer_starts(slabs)
         rgba, points = np.zeros((int(start[-1]), 4), np.uint8), np.zeros(int(start[-1]), np.uint16)
-        for layers, size in lay_out(slabs):
+        for layers, size in sheets:
             sheet = record(sources, pieces, slabs, surface, layers, size)
             sample(sources, pieces, slabs, surface, layers, sheet, start, rgba, points)
         beside = mark_beside(scene, (a, b), hierarchy.box[cluster], plan, slabs, start)

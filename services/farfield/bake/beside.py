@@ -44,11 +44,11 @@ def mark_beside(scene: Scene, objects: tuple[int, int], box: np.ndarray, plan: L
     eye = np.ascontiguousarray(plan.eye, np.float64)
     near_end, far_end = np.array(plan.near, np.float64), np.array(plan.far, np.float64)
     near_end[0], far_end[-1] = -np.inf, np.inf
-    for batch in _batches(others, scene.object_triangles):
-        corner = np.empty((7 * int(scene.object_triangles[batch].sum()), 3, 3))
+    for batch, (first, last) in _batches(others, scene.object_triangles):
+        corner = np.empty((7 * (last - first), 3, 3))
         found = kernels.gather_inside(
             scene.position, scene.index, scene.primitive_triangle, scene.mesh_primitive, scene.primitive_vertex,
-            scene.object_mesh, scene.object_matrix, batch, low, high, eye, axes, corner,
+            scene.object_mesh, scene.object_matrix, batch, first, last, low, high, eye, axes, corner,
         )  # fmt: skip
         corner = corner[:found]
         count = np.zeros(len(near_end), np.int64)
@@ -62,10 +62,16 @@ def mark_beside(scene: Scene, objects: tuple[int, int], box: np.ndarray, plan: L
     return marks
 
 
-def _batches(objects: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
-    """Return the objects in runs of about BATCH triangles: none has a second object that begins beyond them."""
-    held = np.cumsum(triangles[objects]) // BATCH
-    return np.split(objects, np.flatnonzero(np.diff(held)) + 1)
+def _batches(objects: np.ndarray, triangles: np.ndarray) -> list[tuple[np.ndarray, tuple[int, int]]]:
+    """Return runs of BATCH triangles: the objects that have them, and [first, last) of all triangles of these objects."""
+    end = np.cumsum(triangles[objects])
+    runs = []
+    for low in range(0, int(end[-1]), BATCH):
+        high = min(low + BATCH, int(end[-1]))
+        a, b = np.searchsorted(end, low, side="right"), np.searchsorted(end, high, side="left") + 1
+        before = int(end[a] - triangles[objects[a]])
+        runs.append((objects[a:b], (low - before, high - before)))
+    return runs
 
 
 @njit(cache=True)

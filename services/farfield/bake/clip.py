@@ -44,8 +44,20 @@ def cell_hull(kind: int, view_cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.concatenate([apex + near * rays, apex + far * rays]), np.zeros((0, 3))
 
 
-def gather(scene: Scene, objects: tuple[int, int], plan: LayerPlan, *, kind: int, view_cell: np.ndarray) -> Sources:
+def count_triangles(scene: Scene, objects: tuple[int, int]) -> int:
+    """Return how many triangles objects [a, b) have."""
+    mesh = scene.object_mesh[objects[0] : objects[1]]
+    first, last = (scene.primitive_triangle[scene.mesh_primitive[m]] for m in (mesh, mesh + 1))
+    return int((last - first).sum())
+
+
+def gather(
+    scene: Scene, objects: tuple[int, int], plan: LayerPlan, *, kind: int, view_cell: np.ndarray,
+    triangles: tuple[int, int] | None = None,
+) -> Sources:  # fmt: skip
     """Return the triangles of objects [a, b) in the frame of `plan`, without those of blended materials.
+
+    triangles  [first, last) of all triangles of these objects, in their order; None: all of them
 
     Raises ObjectTouchesViewCell where a triangle is not in front of the eye, OutOfDomain for a grid that is too large
     or does not cover the cluster.
@@ -55,19 +67,19 @@ def gather(scene: Scene, objects: tuple[int, int], plan: LayerPlan, *, kind: int
             f"an impostor of {plan.resolution[0]} x {plan.resolution[1]} texels is larger than {MAX_SIDE}"
         )
     start, stop = objects
-    n = int(scene.object_triangles[start:stop].sum())
+    first, last = triangles or (0, count_triangles(scene, objects))
+    n = last - first
     axes = np.stack([plan.right, plan.up, -plan.back]).astype(np.float64)
     points, directions = cell_hull(kind, view_cell)
     hull = np.array([[float((axis * (p - plan.eye)).sum()) for axis in axes] for p in points])
     cone = np.array([[float((axis * d).sum()) for axis in axes] for d in directions]).reshape(-1, 3)
     corner, vertex = np.empty((n, 3, 3)), np.empty((n, 3), np.int32)
     material, owner, away = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.bool_)
-    scratch = np.empty((int(np.diff(scene.primitive_vertex).max(initial=1)), 3))
     found = kernels.gather(
-        scene.position, scene.index, scene.primitive_triangle, scene.primitive_vertex, scene.primitive_material,
-        scene.mesh_primitive, scene.object_mesh, scene.object_matrix, start, stop, scene.material_alpha_mode == BLEND,
+        scene.position, scene.index, scene.primitive_triangle, scene.primitive_material, scene.mesh_primitive,
+        scene.object_mesh, scene.object_matrix, start, stop, first, last, scene.material_alpha_mode == BLEND,
         ~scene.material_double_sided.astype(np.bool_), np.ascontiguousarray(plan.eye, np.float64), axes, hull, cone,
-        corner, vertex, material, owner, away, scratch,
+        corner, vertex, material, owner, away,
     )  # fmt: skip
     corner, vertex = corner[:found], vertex[:found]
     snapped, inverse = np.empty((found, 6), np.int32), np.empty((found, 3))

@@ -13,12 +13,22 @@ SNAP = 256
 
 
 @njit(cache=True)
-def gather(position, index, primitive_triangle, primitive_vertex, primitive_material, mesh_primitive, object_mesh,
-           object_matrix, start, stop, skip, single, eye, axes, hull, directions, corner, vertex, material, owner, away,
-           scratch):  # fmt: skip
-    """Fill the triangles of objects [start, stop) in frame coordinates; return how many. Culls what no point of the
-    view cell (hull points and directions, relative to the eye, in the frame) sees from its front, if single-sided."""
-    n = 0
+def _to_frame(v, m, eye, axes, out):
+    x, y, z = float(v[0]), float(v[1]), float(v[2])
+    wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] - eye[0]
+    wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] - eye[1]
+    wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3] - eye[2]
+    for a in range(3):
+        out[a] = axes[a, 0] * wx + axes[a, 1] * wy + axes[a, 2] * wz
+
+
+@njit(cache=True)
+def gather(position, index, primitive_triangle, primitive_material, mesh_primitive, object_mesh, object_matrix, start, stop,
+           first, last, skip, single, eye, axes, hull, directions, corner, vertex, material, owner, away):  # fmt: skip
+    """Fill the triangles [first, last) of those of objects [start, stop) in frame coordinates; return how many. Culls
+    what no point of the view cell (hull points and directions, relative to the eye, in the frame) sees from its front,
+    if single-sided."""
+    n, passed = 0, 0
     for o in range(start, stop):
         m = object_matrix[o]
         det = (
@@ -28,22 +38,15 @@ def gather(position, index, primitive_triangle, primitive_vertex, primitive_mate
         )
         mesh = object_mesh[o]
         for p in range(mesh_primitive[mesh], mesh_primitive[mesh + 1]):
-            k = primitive_material[p]
-            if skip[k]:
+            k, t0, t1 = primitive_material[p], primitive_triangle[p], primitive_triangle[p + 1]
+            here = passed
+            passed += t1 - t0
+            if skip[k] or passed <= first or here >= last:
                 continue
-            v0 = primitive_vertex[p]
-            for v in range(v0, primitive_vertex[p + 1]):
-                x, y, z = float(position[v, 0]), float(position[v, 1]), float(position[v, 2])
-                wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] - eye[0]
-                wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] - eye[1]
-                wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3] - eye[2]
-                for a in range(3):
-                    scratch[v - v0, a] = axes[a, 0] * wx + axes[a, 1] * wy + axes[a, 2] * wz
-            for t in range(primitive_triangle[p], primitive_triangle[p + 1]):
+            for t in range(t0 + max(first - here, 0), min(t1, t0 + last - here)):
                 for c in range(3):
                     vertex[n, c] = index[t, c]
-                    for a in range(3):
-                        corner[n, c, a] = scratch[index[t, c] - v0, a]
+                    _to_frame(position[index[t, c]], m, eye, axes, corner[n, c])
                 a0, a1, a2 = corner[n, 0], corner[n, 1], corner[n, 2]
                 ux, uy, uz = a1[0] - a0[0], a1[1] - a0[1], a1[2] - a0[2]
                 vx, vy, vz = a2[0] - a0[0], a2[1] - a0[1], a2[2] - a0[2]
@@ -236,15 +239,17 @@ def _keep_side(polygon, n, axis, sign, border, out):
 
 @njit(cache=True)
 def gather_inside(position, index, primitive_triangle, mesh_primitive, primitive_vertex, object_mesh, object_matrix,
-                  objects, low, high, eye, axes, corner):  # fmt: skip
-    """Fill the triangles of these objects, clipped to a box, in frame coordinates; return how many. Corner must hold
-    seven for each. The box must lie in front of the eye."""
-    n = 0
+                  objects, first, last, low, high, eye, axes, corner):  # fmt: skip
+    """Fill the triangles [first, last) of those of these objects, clipped to a box, in frame coordinates; return how many.
+    Corner must hold seven for each. The box must lie in front of the eye."""
+    n, passed = 0, 0
     world, other = np.empty((9, 3)), np.empty((9, 3))
     for o in objects:
         m, mesh = object_matrix[o], object_mesh[o]
         for p in range(mesh_primitive[mesh], mesh_primitive[mesh + 1]):
-            for t in range(primitive_triangle[p], primitive_triangle[p + 1]):
+            t0, t1, here = primitive_triangle[p], primitive_triangle[p + 1], passed
+            passed += t1 - t0
+            for t in range(t0 + max(first - here, 0), min(t1, t0 + last - here)):
                 outside = False
                 for a in range(3):
                     least, most = np.inf, -np.inf

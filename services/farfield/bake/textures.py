@@ -1,11 +1,15 @@
 """Decode base-colour and emissive textures into mip pyramids that kernels can sample.
 
 Levels are averages of 2 x 2 texels in linear light (an odd last row or column is averaged with itself), stored as sRGB
-bytes again; alpha is averaged as it is. Only the textures of the batch's materials are decoded.
+bytes again; alpha is averaged as it is. Only the textures of the batch's materials are decoded. Beyond HELD bytes they go
+to a file without a name, mapped: then only the levels that are looked at are resident, and impostors look at coarse ones.
 """
 
 import io
-from typing import NamedTuple
+import mmap
+import tempfile
+from collections.abc import Iterator
+from typing import IO, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -13,6 +17,9 @@ from PIL import Image
 from farfield.bake.shade import DECODE, encode_srgb
 from farfield.errors import SceneUnreadable
 from farfield.scene.model import Scene
+
+HELD = 256 << 20  # bytes of texels
+STRIP = 256  # rows averaged at once: 67 MB of a texture 8192 wide
 
 
 class Pyramids(NamedTuple):
@@ -32,19 +39,47 @@ def decode(scene: Scene, materials: np.ndarray) -> Pyramids:
     n = len(scene.texture_byte) - 1
     columns = scene.material_texture[materials], scene.material_emissive_texture[materials]
     wanted = set(np.concatenate(columns).tolist()) - {-1}
-    row, sizes, starts, parts, at = [0], [], [], [], 0
+    row, sizes, starts, at = [0], [], [], 0
+    store = _Store()
     for x in range(n):
         if x in wanted:
             for level in _levels(_image(scene, x)):
                 sizes.append(level.shape[1::-1])
                 starts.append(at)
-                parts.append(level.reshape(-1))
+                store.add(level.reshape(-1))
                 at += level.size
         row.append(len(sizes))
     return Pyramids(
         level_row=np.array(row, np.int64), level_size=np.array(sizes, np.int32).reshape(-1, 2),
-        level_byte=np.array(starts, np.int64), texel=np.concatenate(parts) if parts else np.zeros(0, np.uint8),
+        level_byte=np.array(starts, np.int64), texel=store.joined(),
     )  # fmt: skip
+
+
+class _Store:
+    """Bytes one after the other: in memory, or in a file where they are many."""
+
+    def __init__(self) -> None:
+        self._parts: list[np.ndarray] = []
+        self._held = 0
+        self._file: IO[bytes] | None = None
+
+    def add(self, part: np.ndarray) -> None:
+        self._parts.append(part)
+        self._held += part.size
+        if self._held > HELD:
+            self._file = self._file or tempfile.TemporaryFile(prefix="farfield-textures-")  # noqa: SIM115  closed in `joined`
+            for each in self._parts:
+                self._file.write(each.tobytes())
+            self._parts, self._held = [], HELD
+
+    def joined(self) -> np.ndarray:
+        """Return (D,) u1."""
+        if self._file is None:
+            return np.concatenate(self._parts) if self._parts else np.zeros(0, np.uint8)
+        with self._file as file:
+            file.flush()
+            # copied on write: kernels are compiled for arrays that may be written to
+            return np.frombuffer(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY), np.uint8)
 
 
 def _image(scene: Scene, x: int) -> np.ndarray:
@@ -56,21 +91,23 @@ def _image(scene: Scene, x: int) -> np.ndarray:
         raise SceneUnreadable(f"texture {x} does not decode: {error}") from error
 
 
-def _levels(image: np.ndarray) -> list[np.ndarray]:
-    levels = [image]
+def _levels(image: np.ndarray) -> Iterator[np.ndarray]:
+    yield image
     while max(image.shape[:2]) > 1:
-        h, w = image.shape[:2]
-        if h % 2 and h > 1:
-            image = np.concatenate([image, image[-1:]])
-        if w % 2 and w > 1:
-            image = np.concatenate([image, image[:, -1:]], axis=1)
-        linear = np.empty(image.shape, np.float64)
-        linear[..., :3], linear[..., 3] = DECODE[image[..., :3]], image[..., 3]
-        if h > 1:
-            linear = (linear[0::2] + linear[1::2]) / 2
-        if w > 1:
-            linear = (linear[:, 0::2] + linear[:, 1::2]) / 2
-        image = np.empty(linear.shape, np.uint8)
-        image[..., :3], image[..., 3] = encode_srgb(linear[..., :3]), np.floor(linear[..., 3] + 0.5)
-        levels.append(image)
-    return levels
+        image = _halved(image)
+        yield image
+
+
+def _halved(image: np.ndarray) -> np.ndarray:
+    h, w = image.shape[:2]
+    out = np.empty(((h + 1) // 2, (w + 1) // 2, 4), np.uint8)
+    for y in range(0, h, STRIP):
+        strip = image[y : y + STRIP]
+        strip = np.pad(strip, ((0, len(strip) % 2), (0, w % 2), (0, 0)), mode="edge")
+        linear = np.empty(strip.shape, np.float64)
+        linear[..., :3], linear[..., 3] = DECODE[strip[..., :3]], strip[..., 3]
+        linear = (linear[0::2] + linear[1::2]) / 2
+        linear = (linear[:, 0::2] + linear[:, 1::2]) / 2
+        part = out[y // 2 : y // 2 + len(linear)]
+        part[..., :3], part[..., 3] = encode_srgb(linear[..., :3]), np.floor(linear[..., 3] + 0.5)
+    return out
