@@ -24,14 +24,16 @@ SAMPLES = 100  # cameras of one problem view
 def bound_over_union(placement: Placement, *, views: int, seed: int = 0, samples: int = SAMPLES) -> dict[str, Any]:
     """Return what the stated bounds of `views` random problem views are, over the union and the worst of `samples` cameras.
 
-    JSON values: views, samples, cell_m (largest side of a cell), interval_deg; median, least and most of `over_union` and
-    `over_worst`; below_one counts views whose bound is under the union: 0, or a defect.
+    JSON values: views, samples, cell_m (largest side of a cell), interval_deg; median, p95, least and most of `over_union` and
+    `over_worst`; below_one counts views whose bound is under the union: 0, or a defect; wrongly_flagged, those of which no
+    camera costs more than the budget.
     """
     eye, rng = Eye(placement), np.random.default_rng(seed)
     last = [entry["views"][1] for entry in placement.manifest["chunks"]]
     count = last[-1] if last else 0
     chosen = np.sort(rng.choice(count, min(views, count), replace=False)) if count else np.zeros(0, np.int64)
-    over_union, over_worst = [], []
+    over_union, over_worst, calm = [], [], 0
+    budget, per_frame = int(placement.manifest["budget"]["amount"]), float(eye.price["per_frame"])
     for v in chosen.tolist():
         k = int(np.searchsorted(last, v, side="right"))
         chunk, entry = placement.chunk(k), placement.manifest["chunks"][k]
@@ -42,18 +44,21 @@ def bound_over_union(placement: Placement, *, views: int, seed: int = 0, samples
             stated = int(chunk["view_geometry_cost"][local])
             over_union.append(stated / union)
             over_worst.append(stated / worst)
+            calm += worst + per_frame <= budget
     sides = np.diff(placement.index["node_box"][placement.index["cell_node"]], axis=1)
     return {
         "views": len(over_union), "of_views": count, "samples": samples, "seed": seed, "cell_m": float(sides.max()),
         "interval_deg": 90 / (len(placement.manifest["interval_edges"]) - 1),
-        "below_one": sum(r < 1 for r in over_union), "over_union": _spread(over_union), "over_worst": _spread(over_worst),
+        "below_one": sum(r < 1 for r in over_union), "wrongly_flagged": calm, "over_union": _spread(over_union), "over_worst": _spread(over_worst),
     }  # fmt: skip
 
 
 def _spread(ratios: list[float]) -> dict[str, float] | None:
     if not ratios:
         return None
-    return {"median": float(np.median(ratios)), "least": min(ratios), "most": max(ratios)}
+    return {
+        "median": float(np.median(ratios)), "p95": float(np.percentile(ratios, 95)), "least": min(ratios), "most": max(ratios),
+    }  # fmt: skip
 
 
 def _drawn(eye: Eye, cell: int, interval: int, rng: np.random.Generator, samples: int) -> tuple[float, float]:
@@ -61,7 +66,7 @@ def _drawn(eye: Eye, cell: int, interval: int, rng: np.random.Generator, samples
     placement = eye.placement
     box = placement.index["node_box"][placement.index["cell_node"][cell]]
     objects, levels = np.flatnonzero(placement.seen_from(cell)), placement.levels_in(cell)
-    fixed = np.array([eye.geometry_cost(objects[[k]], levels[objects[[k]]]) for k in range(len(objects))])
+    fixed = eye.geometry_costs(objects, levels[objects])
     pixel = eye.price["per_pixel"] * eye.pixels
     largest, share, worst = np.full(len(objects), -1.0), np.empty(len(objects)), 0.0
     corners = list(product((0.0, 1.0), repeat=5))

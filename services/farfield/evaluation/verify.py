@@ -197,11 +197,15 @@ class Eye:
 
     def geometry_cost(self, objects: np.ndarray, levels: np.ndarray) -> int:
         """Return what objects (n,) cost without their pixels at levels (n,), 0 the object itself."""
+        return int(self.geometry_costs(objects, levels).sum())
+
+    def geometry_costs(self, objects: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        """Return the same of each, (n,) i64."""
         index = self.placement.index
-        plain = levels == 0
-        cost = int(index["object_cost"][objects[plain]].sum())
-        if not plain.all():
-            cost += int(index["level_cost"][index["level_row"][objects[~plain]] + levels[~plain] - 1].sum())
+        cost = index["object_cost"][objects].astype(np.int64)
+        if levels.any():
+            coarse = np.flatnonzero(levels)
+            cost[coarse] = index["level_cost"][index["level_row"][objects[coarse]] + levels[coarse] - 1]
         return cost
 
     def too_coarse(self, v: Lookup, position: np.ndarray) -> int:
