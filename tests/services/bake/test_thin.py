@@ -17,7 +17,7 @@ from farfield.hierarchy.build import build_hierarchy
 from farfield.rendertime.cost import build_cost_model
 from farfield.scene.model import MASK, OPAQUE
 from farfield.settings import from_mapping
-from panels import Panel, box_cell, chosen, panel_scene
+from panels import Panel, box_cell, chosen, field, panel_scene
 from towns import town
 
 SETTINGS = from_mapping({"camera": {"width": 320, "height": 180}})
@@ -37,24 +37,6 @@ def distant(scene, least_m=20.0, most=3):
     gap = np.maximum(np.maximum(hierarchy.box[:, 0] - CELL[3:6], CELL[:3] - hierarchy.box[:, 1]), 0)
     far = np.flatnonzero(np.sqrt((gap**2).sum(1)) > least_m)
     return far[np.argsort(hierarchy.start[far] - hierarchy.stop[far], kind="stable")][:most].tolist()
-
-
-def field(n):
-    """Return a scene of one object: a rough height field of 2 n^2 triangles, 40 m to 60 m away."""
-    flat = panel_scene([Panel(low=(-10.0, 0.0, -40.0), u=(20.0, 0.0, 0.0), v=(0.0, 0.0, -20.0))])
-    x, z = np.meshgrid(np.linspace(-10, 10, n + 1), np.linspace(-40, -60, n + 1))
-    y = np.random.default_rng(1).uniform(-1, 1, x.shape) + (-40 - z) / 4
-    position = np.stack([x, y, z], -1).reshape(-1, 3).astype(np.float32)
-    first = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).reshape(-1)
-    index = np.stack([first, first + 1, first + n + 2, first, first + n + 2, first + n + 1], 1).reshape(-1, 3)
-    up = np.tile(np.array([0, 1, 0], np.float32), (len(position), 1))
-    return dataclasses.replace(
-        flat, position=position, normal=up, uv=np.zeros((len(position), 2), np.float32),
-        color=np.ones((len(position), 4), np.float32), index=index.astype(np.int32),
-        primitive_triangle=np.array([0, len(index)]), primitive_vertex=np.array([0, len(position)]),
-        object_triangles=np.array([len(index)]),
-        object_box=np.array([[position.min(0), position.max(0)]], np.float64), material_double_sided=np.ones(1, bool),
-    )  # fmt: skip
 
 
 def fence():
