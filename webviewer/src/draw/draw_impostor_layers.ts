@@ -22,6 +22,8 @@ const TINTS = new Float32Array([0x2c, 0x7f, 0x85, 0xd2, 0x9c, 0x4d, 0x78, 0xb5, 
 
 export class ImpostorLayers {
   readonly indexBuffer: WebGLBuffer;
+  /** Linear colours of the seven classes of texels a pixel. */
+  readonly heat = new Float32Array(21);
   private readonly gl: WebGL2RenderingContext;
   private readonly program: Program;
   /** Whether the shader says itself which samples of a pixel it covers. */
@@ -91,6 +93,7 @@ export class ImpostorLayers {
     gl.uniform2f(program.uniform("u_depth"), far / (far - near), (-far * near) / (far - near));
     gl.uniform1i(program.uniform("u_mode"), view.mode);
     gl.uniform3fv(program.uniform("u_tints"), TINTS);
+    gl.uniform3fv(program.uniform("u_heat"), this.heat);
     if (view.mode !== IDS && !this.masks) gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
     gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
     gl.disable(gl.SAMPLE_ALPHA_TO_COVERAGE);

@@ -5,7 +5,8 @@ import type { Vec3 } from "../placementdb/manifest";
 export const PICTURE = 0;
 export const TINTED = 1;
 export const IDS = 2;
-export type Mode = typeof PICTURE | typeof TINTED | typeof IDS;
+export const HEAT = 3; // texels a pixel
+export type Mode = typeof PICTURE | typeof TINTED | typeof IDS | typeof HEAT;
 
 export interface View {
   frame: CameraFrame; // scene metres

@@ -19,8 +19,9 @@ flat in ivec3 v_ids;
 uniform sampler2DArray u_pages; // sRGB: colour is decoded by the sampler, alpha is not
 uniform vec3 u_forward;
 uniform vec2 u_depth; // depth = x + y / distance along forward
-uniform int u_mode; // 0 picture, 1 tinted by layer, 2 impostor id as colour
+uniform int u_mode; // 0 picture, 1 tinted by layer, 2 impostor id as colour, 3 texels a pixel
 uniform vec3 u_tints[4];
+uniform vec3 u_heat[7]; // classes of texels a pixel: below 1/2, 1, 2, 4, 8, 16, and more
 
 out vec4 o_color;
 
@@ -66,6 +67,10 @@ void main() {
     return;
   }
   color /= float(covered);
+  if (u_mode == 3) {
+    float texels = abs(dx.x * dy.y - dx.y * dy.x); // that lie in the pixel, at full detail
+    color = u_heat[clamp(int(floor(log2(max(texels, 1e-6)))) + 2, 0, 6)];
+  }
   if (u_mode == 1) color = mix(color, u_tints[v_ids.y & 3], 0.62);
 #ifdef SAMPLE_MASK
   o_color = vec4(color, 1.0);

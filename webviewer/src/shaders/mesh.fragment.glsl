@@ -13,7 +13,7 @@ uniform vec3 u_sun_direction;
 uniform vec3 u_sun;
 uniform vec3 u_sky;
 uniform vec3 u_ground;
-uniform int u_mode; // 2: black, for pictures that count what impostors cover
+uniform int u_mode; // 2: black, for pictures that count what impostors cover; 3: faint, beside texels a pixel
 
 out vec4 o_color;
 
@@ -42,5 +42,6 @@ void main() {
 #else
   float alpha = 1.0;
 #endif
+  if (u_mode == 3) color = vec3(0.04 + 0.25 * dot(color, vec3(0.2126, 0.7152, 0.0722)));
   o_color = u_mode == 2 ? vec4(0.0, 0.0, 0.0, 1.0) : vec4(color, alpha);
 }

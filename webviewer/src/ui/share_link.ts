@@ -8,7 +8,7 @@ import type { Vec3 } from "../placementdb/manifest";
 import { WalkDamaged, decodeWalk, encodeWalk, type Walk } from "../walk/walk";
 import { readView } from "./view_link";
 
-export const TOGGLE_LETTERS = "ixbelcg";
+export const TOGGLE_LETTERS = "ixbelcgm";
 
 export interface Shared {
   view: { position: Vec3; direction: Vec3 } | null;

@@ -14,6 +14,7 @@ import { Walker } from "./camera";
 import { Controls } from "./controls";
 import { Difference } from "./difference";
 import type { Engine, Modes } from "./engine";
+import { readHeat } from "./heat";
 import { FrameClock } from "./frame_clock";
 import { Overlay, type Counts } from "./overlay";
 import { Panorama } from "./panorama";
@@ -24,13 +25,13 @@ const OVERLAY_EVERY_MS = 100;
 const PLAN_EVERY_MS = 250;
 const REST_MS = 300;
 const TOGGLES: Record<string, keyof Modes> = {
-  "t-impostors": "impostors", "t-split": "split", "t-beside": "beside", "t-layers": "layers", "t-cells": "cells", "t-freeze": "freeze",
+  "t-impostors": "impostors", "t-split": "split", "t-beside": "beside", "t-layers": "layers", "t-heat": "heat", "t-cells": "cells", "t-freeze": "freeze",
 };
 const KEYS: Record<string, string> = {
-  i: "t-impostors", x: "t-split", b: "t-beside", e: "t-difference", l: "t-layers", c: "t-cells", f: "t-freeze", g: "t-fly", r: "b-record",
+  i: "t-impostors", x: "t-split", b: "t-beside", e: "t-difference", l: "t-layers", m: "t-heat", c: "t-cells", f: "t-freeze", g: "t-fly", r: "b-record",
   p: "b-replay", y: "b-link",
 };
-const LETTERS: Record<string, keyof Modes> = { i: "impostors", x: "split", b: "beside", l: "layers", c: "cells" };
+const LETTERS: Record<string, keyof Modes> = { i: "impostors", x: "split", b: "beside", l: "layers", m: "heat", c: "cells" };
 
 export type Switches = Partial<Modes & { free: boolean; overlay: boolean; difference: boolean }>;
 
@@ -178,6 +179,10 @@ export class App {
     const { free, overlay, difference, ...rest } = modes;
     if (rest.split) rest.beside = false;
     else if (rest.beside) rest.split = false;
+    if (rest.heat) {
+      rest.layers = false;
+      this.engine.setHeat(readHeat());
+    } else if (rest.layers) rest.heat = false;
     Object.assign(this.engine.modes, rest);
     if (rest.freeze) this.engine.showHeld();
     if (difference !== undefined) this.difference.set(difference);
@@ -189,7 +194,8 @@ export class App {
     for (const [id, mode] of Object.entries(TOGGLES)) byId<HTMLInputElement>(id).checked = Boolean(this.engine.modes[mode]);
     byId<HTMLInputElement>("t-fly").checked = this.walker.free;
     byId<HTMLInputElement>("t-difference").checked = this.difference.on;
-    if (!this.engine.modes.layers) setShown("picked", false);
+    setShown("heat", this.engine.modes.heat);
+    if (!this.engine.modes.layers && !this.engine.modes.heat) setShown("picked", false);
     this.placeSplit();
     this.touch();
   }
@@ -298,7 +304,7 @@ export class App {
   }
 
   private pick(x: number, y: number): void {
-    if (!this.engine.modes.layers) return;
+    if (!this.engine.modes.layers && !this.engine.modes.heat) return;
     const { width, height } = this.canvas;
     const ids = this.engine.drawIds(this.walker.position, this.walker.direction);
     this.engine.draw(this.walker.position, this.walker.direction);
@@ -331,7 +337,7 @@ export class App {
       const hidden = Boolean(byId("main").querySelector<HTMLElement>(".overlay")!.hidden);
       this.setMode({ overlay: hidden });
     } else if (key === "t") {
-      toggleTheme();
+      byId("b-theme").click();
     } else if (key === "?") {
       byId("b-keys").click();
     } else if (key === "Escape") {
@@ -352,6 +358,7 @@ export class App {
     byId("b-link").addEventListener("click", () => void this.copyLink());
     byId("b-theme").addEventListener("click", () => {
       toggleTheme();
+      this.engine.setHeat(readHeat());
       this.touch(); // the difference has the theme's colours
     });
     byId("b-keys").addEventListener("click", () => {

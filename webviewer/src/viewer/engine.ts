@@ -8,7 +8,7 @@ import { CellLines } from "../draw/draw_cells";
 import { ImpostorLayers, type DrawStats } from "../draw/draw_impostor_layers";
 import { LevelMesh, readLighting } from "../draw/draw_mesh";
 import { WireLines } from "../draw/draw_wires";
-import { IDS, PICTURE, TINTED, farthest, makeView, setViewProjection, type View } from "../draw/view";
+import { HEAT, IDS, PICTURE, TINTED, farthest, makeView, setViewProjection, type View } from "../draw/view";
 import { heldWires, impostorWires } from "../draw/wires";
 import { ChunkBuffers } from "../gl/chunk_buffers";
 import { PageArray } from "../gl/page_array";
@@ -34,6 +34,7 @@ const INTERVAL_M = 40;
 export interface Modes {
   impostors: boolean;
   layers: boolean;
+  heat: boolean; // texels a pixel
   cells: boolean;
   split: boolean; // swipe: one picture, geometry right of the divider
   beside: boolean; // side by side: the middle half of the picture twice, geometry on the right
@@ -62,7 +63,7 @@ export class Engine {
   readonly pages: PageArray;
   readonly level: LevelMesh;
   readonly modes: Modes = {
-    impostors: true, layers: false, cells: false, split: false, beside: false, freeze: false, splitAt: 0.5, background: [0.62, 0.74, 0.82],
+    impostors: true, layers: false, heat: false, cells: false, split: false, beside: false, freeze: false, splitAt: 0.5, background: [0.62, 0.74, 0.82],
   };
   readonly situation: Situation = {
     cell: -1, interval: -1, chunk: -1, problemView: null, hopeless: false, costBound: 0, impostors: 0, shown: [], needed: [], waiting: true,
@@ -187,7 +188,7 @@ export class Engine {
     this.prepare(position, direction);
     const { gl, modes } = this;
     const { width, height } = this.canvas;
-    this.view.mode = modes.layers ? TINTED : PICTURE;
+    this.view.mode = modes.heat ? HEAT : modes.layers ? TINTED : PICTURE;
     this.bind();
     this.clear(modes.background);
     this.drawn.calls = this.drawn.triangles = 0;
@@ -208,9 +209,14 @@ export class Engine {
       gl.scissor(side ? cut : 0, 0, side ? width - cut : cut, height);
       if (modes.cells) this.cellLines.draw(this.view, this.placement.manifest.origin_m, this.situation.cell);
       if (modes.freeze) this.heldLines.draw(this.view, this.placement.manifest.origin_m);
-      if (modes.layers) this.pickedLines.draw(this.view, this.placement.manifest.origin_m);
+      if (modes.layers || modes.heat) this.pickedLines.draw(this.view, this.placement.manifest.origin_m);
     }
     this.target.show();
+  }
+
+  /** Colours of the classes of texels a pixel, sRGB, 0 to 1. */
+  setHeat(colors: readonly (readonly number[])[]): void {
+    colors.forEach((color, k) => color.forEach((x, a) => (this.layers.heat[3 * k + a] = decodeSrgb(x))));
   }
 
   /** Draws impostor ids (+ 1) as colours, everything else black, and returns the pixels (RGBA, bottom row first). */
