@@ -3,7 +3,7 @@
 import argparse
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +76,21 @@ def show_report(report: Mapping[str, Any], console: Console | None = None) -> No
         out.print(_curve(report))
     if report["hopeless"]:
         out.print(_hopeless(report))
+    if report.get("left_out"):
+        out.print(_left_out(report["left_out"]))
     for warning in [*report["warnings"], *report["not_baked"], *map(_look, report.get("looks", ()))]:
         out.print(f"note: {warning}", markup=False, highlight=False)
+
+
+def _left_out(rows: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), title="not needed", title_justify="left")
+    for column in ("what", "why", "saved, about"):
+        table.add_column(column)
+    for row in rows:
+        seconds = sorted(set(row["seconds"] or ()))
+        saved = " to ".join(f"{s:,.0f}" for s in seconds) + " s" if seconds else "-"
+        table.add_row(escape(row["need"]), escape(row["why"]), saved)
+    return table
 
 
 def _look(row: Mapping[str, Any]) -> str:

@@ -12,9 +12,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from farfield.bake.model import BakedLayers
 from farfield.columns import unpack, unpack_files
 from farfield.errors import PlacementFileMissing
 from farfield.evaluation.detail import levels_summary
+from farfield.evaluation.left_out import left_out
 from farfield.evaluation.verify import refuted
 from farfield.geometry.cells import CellTree, build_cells
 from farfield.geometry.intervals import direction_at, edges, split_id
@@ -82,7 +84,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
          "shards": s.shards, "reused": s.reused}
         for s in stages
     ]  # fmt: skip
-    return {
+    report: dict[str, Any] = {
         "format": "farfield report", "version": 1,
         "verdict": _verdict(manifest["verdict"], verified, proof), "stopped": placement.stopped,
         "budget": settings.budget, "budget_amount": model.budget, "unit": model.unit, "per_frame": model.per_frame,
@@ -93,6 +95,7 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         **{key: manifest[key] for key in ("bytes", "file_bytes", "video_bytes", "camera", "quality", "bounds",
                                           "view_space")},
         **_bound(inputs.get(Stage.BOUND)),
+        "base": _base(settings, placement),
         "detail": levels_summary(scene, inputs.get(Stage.DETAIL), model, cells),
         "visibility": summary(inputs.get(Stage.VISIBILITY), n_objects=scene.n_objects),
         "stages": ran, "seconds": round(math.fsum(s["seconds"] for s in ran), 3),
@@ -108,7 +111,26 @@ def build_report(inputs: JobInputs, stages: Iterable[StageRun]) -> dict[str, Any
         "warnings": list(scene.warnings), "dropped_triangles": scene.dropped_triangles,
         "not_baked": list(baked.skipped), "looks": _looks(scene), "software": manifest["provenance"]["software"],
         "inputs": manifest["provenance"]["inputs"],
+        "textures": len(scene.texture_byte) - 1, "single_layer_impostors": _single_layer(baked),
     }  # fmt: skip
+    return {**report, "left_out": left_out(report)}
+
+
+def _base(settings: Settings, placement: Placement) -> dict[str, Any] | None:
+    """Return what the placement was placed on: which one it started from and how much of it stands."""
+    if settings.placement.base is None:
+        return None
+    kept = placement.base >= 0
+    return {
+        "manifest_sha256": settings.placement.base, "impostors_kept": int(kept.sum()),
+        "impostors_built": int((~kept).sum()), "bytes_kept": int(placement.bytes[kept].sum()),
+    }  # fmt: skip
+
+
+def _single_layer(baked: BakedLayers) -> int:
+    """Return how many impostors have one layer, in however many pieces."""
+    parts = (baked.plane[a:b] for a, b in zip(baked.layer_row[:-1], baked.layer_row[1:], strict=True))
+    return sum(len(plane) > 0 and bool((plane == plane[0]).all()) for plane in parts)
 
 
 def _bound(bound: Bound) -> dict[str, Any]:

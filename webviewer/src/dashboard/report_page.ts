@@ -7,7 +7,7 @@ import { shortDigest, shortId } from "./format";
 import { curvePanel } from "./curve";
 import { histogramPanel } from "./histogram";
 import { hopelessPanel } from "./hopeless";
-import { certificate, deviceTable, figures, notes, stagesTable, worstViews } from "./report_parts";
+import { certificate, deviceTable, figures, leftOut, notes, stagesTable, worstViews } from "./report_parts";
 import { proofPanel } from "./proof";
 import type { Report } from "./report_types";
 import { count } from "../ui/format";
@@ -36,7 +36,7 @@ async function start(): Promise<void> {
   const byCost = h("div");
   const hopeless = h("div");
   const beside = (a: HTMLElement | null, b: HTMLElement | null): HTMLElement => h("div", { class: "two" }, a, b);
-  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), proofPanel(report, item) ?? "", curvePanel(report) ?? "", byCost, hopeless, deviceTable(report) ?? "", notes(report) ?? "");
+  main.replaceChildren(head(job, title, report), certificate(report, item), beside(stagesTable(report), figures(report)), beside(map, worstViews(report, item)), proofPanel(report, item) ?? "", curvePanel(report) ?? "", byCost, hopeless, deviceTable(report) ?? "", leftOut(report) ?? "", notes(report) ?? "");
   // The map needs the placement's own files; without them the report stands as it is.
   const data = await readMap(item, report).catch(() => null);
   const drawn = data && new ViewMap(data, item);

@@ -163,6 +163,20 @@ export function worstViews(report: Report, placement: string): HTMLElement | nul
   return part("wv-h", "Worst views", "highest bound on the cost, as placed", button, scroller(table));
 }
 
+/** What the level did not need, and about what that saved. */
+export function leftOut(report: Report): HTMLElement | null {
+  const rows = report.left_out ?? [];
+  if (!rows.length) return null;
+  const saved = (seconds: [number, number] | null): string =>
+    seconds === null ? "—" : seconds[0] === seconds[1] ? duration(seconds[0]) : `${duration(seconds[0])} to ${duration(seconds[1])}`;
+  const table = h("table", { class: "num" }, h("caption", { class: "sr" }, "What was left out, and what that saved"),
+    h("thead", null, h("tr", null, h("th", { scope: "col" }, "Not needed"), h("th", { scope: "col" }, "Why"), h("th", { scope: "col", class: "r" }, "Saved, about"), h("th", { scope: "col" }, "Estimated from"))),
+    h("tbody", null, ...rows.map((row) => h("tr", null, h("th", { scope: "row" }, row.need, row.stages.length ? h("small", { class: "q" }, ` ${row.stages.join(", ")}`) : null),
+      h("td", null, row.why), h("td", { class: "r nw" }, saved(row.seconds)), h("td", { class: "q2" }, row.basis)))));
+  const button = csvButton("left-out", ["need", "why", "stages", "seconds_least", "seconds_most", "basis"], () => rows.map((row) => [row.need, row.why, row.stages.join(" "), row.seconds?.[0] ?? null, row.seconds?.[1] ?? null, row.basis]));
+  return part("lo-h", "Left out", "seconds of one processor", button, scroller(table));
+}
+
 export function notes(report: Report): HTMLElement | null {
   const lines = [...(report.warnings ?? []), ...(report.not_baked ?? [])];
   for (const { look, objects, geometry, flattened } of report.looks ?? []) {

@@ -137,6 +137,7 @@ export interface Report {
   warnings?: string[];
   dropped_triangles?: number;
   not_baked?: string[];
+  left_out?: { need: string; why: string; stages: string[]; seconds: [number, number] | null; basis: string }[];
   looks?: { look: string; objects: number; geometry: number; flattened: number }[];
   software?: Record<string, unknown>;
   inputs?: Record<string, string>;
