@@ -11,7 +11,7 @@ import { makeContext } from "../gl/context";
 import { PictureTarget } from "../gl/picture_target";
 import { Layers } from "./layers";
 import { Objects } from "./objects";
-import { alone, COLUMNS, FIRST, frameAt, FRAMES, MOST, TARGET_MS, type Load, type Sample } from "./plan";
+import { alone, COLUMNS, FIRST, frameAt, FRAMES, MOST, NOTHING, TARGET_MS, type Load, type Sample } from "./plan";
 
 interface TimerQuery {
   TIME_ELAPSED_EXT: number;
@@ -77,16 +77,18 @@ export class Bench {
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  /** The heaviest value of each column: where it alone fills a frame of TARGET_MS. */
+  /** The heaviest value of each column: where it alone takes TARGET_MS more than an empty frame. */
   private async scale(signal: AbortSignal, prepared: (share: number) => void): Promise<Load> {
     const most = { ...FIRST };
+    await this.prepare(NOTHING);
+    const empty = Math.min(await this.time(1), await this.time(1));
     for (const [k, column] of COLUMNS.entries()) {
       for (;;) {
         prepared(k / COLUMNS.length);
         if (signal.aborted || most[column] >= MOST[column]) break;
         await this.prepare(alone(column, most[column]));
         await this.time(1);
-        if ((await this.time(1)) >= TARGET_MS) break;
+        if ((await this.time(1)) - empty >= TARGET_MS) break;
         most[column] *= 2;
       }
     }

@@ -3,7 +3,7 @@
  *
  * Problem  The fit needs frames whose columns each vary by at least two and do not rise and fall together, on devices that
  *          differ by a hundred times in speed.
- * Method   The heaviest value of each column is found by doubling it, alone, until a frame takes `TARGET_MS`. Frames are then
+ * Method   The heaviest value of each column is found by doubling it, alone, until a frame takes `TARGET_MS` more than an empty one. Frames are then
  *          points of a Halton sequence, a dimension a column, squared: many light frames, few heavy ones. Some have no
  *          impostors, some no objects: they tell the constant of a frame from the rest.
  */
@@ -29,7 +29,7 @@ export const FIRST: Load = { calls: 16, triangles: 2048, pixels: 20_000, imposto
 /** What no frame of the viewer comes near; memory has a say, too. */
 export const MOST: Load = { calls: 4096, triangles: 4_194_304, pixels: 40_000_000, impostors: 2048, impostor_triangles: 65_536, impostor_pixels: 40_000_000 };
 export const FRAMES = 180;
-const NONE: Load = { calls: 0, triangles: 0, pixels: 0, impostors: 0, impostor_triangles: 0, impostor_pixels: 0 };
+export const NOTHING: Load = { calls: 0, triangles: 0, pixels: 0, impostors: 0, impostor_triangles: 0, impostor_pixels: 0 };
 const LARGEST = 2 * 256 * 256; // triangles of the largest mesh
 const SCREENFUL = 500_000; // pixels that one mesh or layer covers at most
 const PRIMES = [2, 3, 5, 7, 11, 13];
@@ -49,7 +49,7 @@ export function alone(column: Column, value: number): Load {
   const n = kind === "calls" || kind === "impostors" ? value : kind === "pixels" ? Math.ceil(value / SCREENFUL) : impostor ? 1 : Math.ceil(value / LARGEST);
   const triangles = kind === "triangles" ? value : 2 * n;
   const pixels = kind === "pixels" ? value : 64;
-  return impostor ? { ...NONE, impostors: n, impostor_triangles: triangles, impostor_pixels: pixels } : { ...NONE, calls: n, triangles, pixels };
+  return impostor ? { ...NOTHING, impostors: n, impostor_triangles: triangles, impostor_pixels: pixels } : { ...NOTHING, calls: n, triangles, pixels };
 }
 
 /** The k-th frame to measure, of heaviest values `most`. */

@@ -75,11 +75,12 @@ export class MeasurePanel {
       const { Bench } = await import("../calibrate/bench");
       const made = new Bench(canvas);
       bench = made;
-      const device = this.devices.find((d) => d.name === name) ?? (await createDevice(name));
+      let device = this.devices.find((d) => d.name === name) ?? null;
       let sent = 0;
       let profile: DeviceProfile | null = null;
       const fit = async (): Promise<Device> => {
         const fresh: Sample[] = points.slice(sent).map(({ predictedMs: _, seen: __, ...sample }) => sample);
+        device ??= await createDevice(name);
         const told = await sendSamples(device.id, fresh, `${key}-${sent}`);
         sent = points.length;
         profile = told.profile as DeviceProfile | null;
