@@ -17,6 +17,7 @@ from farfield.errors import SceneNotAFile, SettingsInvalid
 EXPERIMENTS = {
     "error-time": "farfield.experiment.error_time",
     "table1": "farfield.experiment.table1",
+    "compare": "farfield.experiment.compare",
 }
 
 
