@@ -28,6 +28,18 @@ def bound_over_union(placement: Placement, *, views: int, seed: int = 0, samples
     `over_worst`; below_one counts views whose bound is under the union: 0, or a defect; wrongly_flagged, those of which no
     camera costs more than the budget.
     """
+    found = bound_ratios(placement, views=views, seed=seed, samples=samples)
+    sides = np.diff(placement.index["node_box"][placement.index["cell_node"]], axis=1)
+    return {
+        "views": len(found["union"]), "of_views": found["of_views"], "samples": samples, "seed": seed,
+        "cell_m": float(sides.max()), "interval_deg": 90 / (len(placement.manifest["interval_edges"]) - 1),
+        "below_one": sum(r < 1 for r in found["union"]), "wrongly_flagged": found["wrongly_flagged"],
+        "over_union": _spread(found["union"]), "over_worst": _spread(found["worst"]),
+    }  # fmt: skip
+
+
+def bound_ratios(placement: Placement, *, views: int, seed: int = 0, samples: int = SAMPLES) -> dict[str, Any]:
+    """Return the ratios themselves, `union` and `worst`, in order of the problem views; see `bound_over_union`."""
     eye, rng = Eye(placement), np.random.default_rng(seed)
     last = [entry["views"][1] for entry in placement.manifest["chunks"]]
     count = last[-1] if last else 0
@@ -45,12 +57,7 @@ def bound_over_union(placement: Placement, *, views: int, seed: int = 0, samples
             over_union.append(stated / union)
             over_worst.append(stated / worst)
             calm += worst + per_frame <= budget
-    sides = np.diff(placement.index["node_box"][placement.index["cell_node"]], axis=1)
-    return {
-        "views": len(over_union), "of_views": count, "samples": samples, "seed": seed, "cell_m": float(sides.max()),
-        "interval_deg": 90 / (len(placement.manifest["interval_edges"]) - 1),
-        "below_one": sum(r < 1 for r in over_union), "wrongly_flagged": calm, "over_union": _spread(over_union), "over_worst": _spread(over_worst),
-    }  # fmt: skip
+    return {"of_views": count, "union": over_union, "worst": over_worst, "wrongly_flagged": int(calm)}
 
 
 def _spread(ratios: list[float]) -> dict[str, float] | None:
@@ -67,15 +74,11 @@ def _drawn(eye: Eye, cell: int, interval: int, rng: np.random.Generator, samples
     box = placement.index["node_box"][placement.index["cell_node"][cell]]
     objects, levels = np.flatnonzero(placement.seen_from(cell)), placement.levels_in(cell)
     fixed = eye.geometry_costs(objects, levels[objects])
-    pixel = eye.price["per_pixel"] * eye.pixels
-    largest, share, worst = np.full(len(objects), -1.0), np.empty(len(objects)), 0.0
+    pixel = float(eye.price["per_pixel"] * eye.pixels)
     corners = list(product((0.0, 1.0), repeat=5))
-    for s in range(samples):
-        at = np.array(corners[s // 2 % 32]) if s % 2 else rng.random(5)
-        frame = eye.frame(direction_in(placement, interval, at[3], at[4]))
-        kernels.boxes_share(placement.index["object_box"], objects, box[0] + (box[1] - box[0]) * at[:3], frame, share)
-        drawn = share >= 0
-        worst = max(worst, float(fixed[drawn].sum() + pixel * share[drawn].sum()))
-        np.maximum(largest, share, out=largest)
+    at = [np.array(corners[s // 2 % 32]) if s % 2 else rng.random(5) for s in range(samples)]
+    frames = np.array([eye.frame(direction_in(placement, interval, a[3], a[4])) for a in at])
+    eyes, largest = np.array([box[0] + (box[1] - box[0]) * a[:3] for a in at]), np.full(len(objects), -1.0)
+    worst = kernels.cameras_share(placement.index["object_box"], objects, eyes, frames, fixed, pixel, largest)
     some = largest >= 0
-    return float(fixed[some].sum() + pixel * largest[some].sum()), worst
+    return float(fixed[some].sum() + pixel * largest[some].sum()), float(worst)

@@ -176,3 +176,60 @@ def surface_within(point, limit, corner, found):
             if nearest <= reach * reach:
                 found[n] = True
                 break
+
+
+@njit(cache=True)
+def beyond_a_plane(box, eye, frame):
+    """Return whether the box lies outside one plane of the pyramid by more than rounding: `box_share` is -1 then."""
+    for plane in range(4):
+        sign = -1.0 if plane % 2 == 0 else 1.0
+        most = size = 0.0
+        for c in range(3):
+            a, b = box[0, c] - eye[c], box[1, c] - eye[c]
+            slope = frame[2, c] + sign * frame[plane // 2, c]
+            most += max(slope * a, slope * b)
+            size += (abs(frame[2, c]) + abs(frame[plane // 2, c])) * max(abs(a), abs(b))
+        if most < -1e-12 * size:
+            return True
+    return False
+
+
+@njit(cache=True)
+def wholly_inside(box, eye, frame):
+    """Return whether all corners of the box lie within all planes of the pyramid: it is drawn, then."""
+    for plane in range(4):
+        sign = -1.0 if plane % 2 == 0 else 1.0
+        least = 0.0
+        for c in range(3):
+            slope = frame[2, c] + sign * frame[plane // 2, c]
+            least += min(slope * (box[0, c] - eye[c]), slope * (box[1, c] - eye[c]))
+        if least < 0:
+            return False
+    return True
+
+
+@njit(cache=True)
+def cameras_share(boxes, ids, eyes, frames, fixed, pixel, largest):
+    """Widen `largest` (n,) to the largest share of each of boxes[ids] over all cameras (-1: none sees it); return the
+    cost of the dearest camera: `fixed` (n,) of what it sees, and `pixel` times its shares.
+
+    Where pixel is 0 shares are not wanted, only whether: 0 stands for seen.
+    """
+    points, spare, corners = np.empty((16, 3)), np.empty((16, 3)), np.empty((8, 3))
+    worst = 0.0
+    for s in range(len(eyes)):
+        cost = 0.0
+        for k in range(len(ids)):
+            box = boxes[ids[k]]
+            if beyond_a_plane(box, eyes[s], frames[s]):
+                continue
+            if pixel == 0 and wholly_inside(box, eyes[s], frames[s]):
+                share = 0.0
+            else:
+                share = box_share(box, eyes[s], frames[s], points, spare, corners)
+                if share < 0:
+                    continue
+            cost += fixed[k] + pixel * share
+            largest[k] = max(largest[k], share)
+        worst = max(worst, cost)
+    return worst

@@ -95,7 +95,7 @@ def _alone(mine: Facts, base: Facts, facts: Mapping[str, Facts]) -> str | None:
 
 
 def _maps(mine: Facts, base: Facts, facts: Mapping[str, Facts]) -> str | None:
-    return (f"maps hold only what lies beyond the far distance, {mine['impostors']:,} parts of {mine['layers_each']:.1f} layers each; "
+    return (f"maps hold only what lies far off, {mine['impostors']:,} parts of {mine['layers_each']:.1f} layers each; "
             f"{mine['hopeless']:,} of {mine['problem_views']:,} problem views stay over budget with them against "
             f"{base['hopeless']:,} of {base['problem_views']:,}: they weigh less because they do less")  # fmt: skip
 

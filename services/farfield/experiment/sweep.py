@@ -82,9 +82,13 @@ class Sweep:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def run(self, settings: Settings, *, until: Stage, label: str, skip: Sequence[Stage] = ()) -> Ran:
-        """Run the stages up to `until`, `skip` left out. Raises what a stage raises, or StageFailed."""
-        work = self.cache / "scenes"
+    def run(self, settings: Settings, *, until: Stage, label: str, skip: Sequence[Stage] = (), apart: str = "") -> Ran:
+        """Run the stages up to `until`, `skip` left out. Raises what a stage raises, or StageFailed.
+
+        apart  where not "": a name; from the placement on nothing is shared with runs of another name (a clock stops them)
+        """
+        cache = self._apart(apart) if apart else self.cache
+        work = cache / "scenes"
         work.mkdir(exist_ok=True)
         times: dict[Stage, StageTime] = {}
         names = list(Stage)
@@ -92,7 +96,7 @@ class Sweep:
         def show(stage: Stage, done: int, total: int, skipped: str | None) -> None:
             self.tell(f"{label}: {stage} {done}/{total}" if total else f"{label}: {stage}")
 
-        with Executor(self.scene, settings, work, workers=self.workers, progress=show, cache=self.cache) as executor:
+        with Executor(self.scene, settings, work, workers=self.workers, progress=show, cache=cache) as executor:
             for stage in names[: names.index(until) + 1]:
                 if stage in skip:
                     continue
@@ -103,6 +107,17 @@ class Sweep:
                 settings=settings, times=times, artifacts=dict(executor.paths.artifacts),
                 digests=dict(executor.paths.digests),
             )  # fmt: skip
+
+    def _apart(self, name: str) -> Path:
+        """Return a cache of its own whose stages before the placement are those of the sweep."""
+        cache = self.cache / "apart" / name
+        cache.mkdir(parents=True, exist_ok=True)
+        for stage in list(Stage)[1 : list(Stage).index(Stage.PLACEMENT)]:
+            shared = self.cache / stage
+            shared.mkdir(exist_ok=True)
+            if not (cache / stage).is_symlink():
+                (cache / stage).symlink_to(shared.resolve(), target_is_directory=True)
+        return cache
 
     def measure(
         self, function: str, ran: Ran, calls: Sequence[tuple[Any, ...]], *, label: str

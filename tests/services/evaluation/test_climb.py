@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from farfield.cli.main import main
+from farfield.evaluation import kernels
 from farfield.evaluation.bound import bound_over_union
 from farfield.evaluation.climb import _angles, _direction, climb
-from farfield.evaluation.verify import verify
+from farfield.evaluation.verify import Eye, verify
 from farfield.placementdb.read import Placement
 from placements import made_up, save
 
@@ -116,6 +117,28 @@ def test_a_folder_that_cannot_be_written_is_verified_all_the_same(
     assert main(["verify", str(folder), "--views", "20", "--climb", "0", "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["views"] == 20 and "Permission denied" in said.err
+
+
+def test_many_cameras_at_once_see_what_each_sees_alone(folder: Path) -> None:
+    rng = np.random.default_rng(4)
+    boxes = rng.uniform(-9, 9, (60, 1, 3)) + np.sort(rng.uniform(-3, 3, (60, 2, 3)), axis=1)
+    boxes[:5] *= 1e7  # far off, and around the eye
+    ids, fixed = np.arange(60), rng.integers(1, 9, 60).astype(np.int64)
+    eyes = rng.uniform(-5, 5, (40, 3))
+    eye = Eye(Placement.open(folder))
+    frames = np.array([eye.frame(d) for d in rng.normal(size=(40, 3))])
+    share = np.empty((40, 60))
+    for s in range(40):
+        kernels.boxes_share(boxes, ids, eyes[s], frames[s], share[s])
+    assert 0.1 < (share >= 0).mean() < 0.9
+    for pixel in (0.0, 7.5):
+        largest = np.full(60, -1.0)
+        worst = kernels.cameras_share(boxes, ids, eyes, frames, fixed, pixel, largest)
+        np.testing.assert_array_equal(largest >= 0, (share >= 0).any(0))
+        if pixel:
+            np.testing.assert_array_equal(largest, share.max(0))
+        each = [(fixed[row >= 0] + pixel * row[row >= 0]).sum() for row in share]
+        assert worst == pytest.approx(max(each), rel=1e-12)
 
 
 def test_bounds_are_held_against_the_union_of_dense_cameras(folder: Path) -> None:
