@@ -8,13 +8,15 @@ import { h } from "./element";
 import { note } from "./frame";
 import { sentences } from "./format";
 
-const [WIDTH, HEIGHT] = [1280, 720]; // the default camera: what the costs of pixels and frames are of
+const SIZES = [[640, 360], [1280, 720], [1920, 1080], [3840, 2160]] as const; // what a frame costs depends on it
+const DEFAULT_SIZE = 1; // the default camera's
 const FIRST_FIT = 110; // of FRAMES; the frames after it are predicted before they are measured
 const NAME_MOST = 100;
 
 export class MeasurePanel {
   readonly element: HTMLElement;
   private readonly name = h("input", { id: "dev-name", type: "text", maxlength: NAME_MOST, autocomplete: "off", required: true, "aria-describedby": "dev-help" });
+  private readonly size = h("select", { id: "dev-size", "aria-label": "Size of the picture" }, ...SIZES.map(([w, tall], k) => h("option", { value: k, selected: k === DEFAULT_SIZE }, `${w} × ${tall}`)));
   private readonly button = h("button", { class: "btn primary" }, "Measure this device");
   private readonly bar = h("div", { class: "bar", role: "progressbar", "aria-label": "Frames measured", "aria-valuemin": "0", "aria-valuemax": "100", "aria-valuenow": "0" }, h("i"));
   private readonly status = h("p", { class: "small q2", role: "status" }, "Takes about half a minute. Close other programs that draw, and leave this page in front.");
@@ -26,7 +28,7 @@ export class MeasurePanel {
   private presets: readonly string[] = [];
 
   constructor(private readonly allowed: boolean, private readonly changed: () => void) {
-    const form = h("form", { class: "measure" }, h("label", { for: "dev-name" }, "Name"), this.name, this.button,
+    const form = h("form", { class: "measure" }, h("label", { for: "dev-name" }, "Name"), this.name, this.size, this.button,
       h("small", { id: "dev-help", class: "q" }, "What jobs call it. The name of a device that is there adds to its frames."));
     form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -35,7 +37,7 @@ export class MeasurePanel {
     this.name.value = suggestedName();
     if (!allowed) this.button.disabled = true;
     this.element = h("section", { class: "panel", id: "measure", "aria-labelledby": "ms-h" },
-      h("header", null, h("h2", { id: "ms-h" }, "Measure this device"), h("span", { class: "small q" }, `frames of ${WIDTH} × ${HEIGHT}, drawn as the viewer draws them`)),
+      h("header", null, h("h2", { id: "ms-h" }, "Measure this device"), h("span", { class: "small q" }, "controlled frames of the size that jobs ask for, drawn as the viewer draws them")),
       h("div", { class: "two" }, h("div", { class: "col" }, h("div", null, form, this.bar, this.status, this.result), this.picture), this.plot.element));
     if (!allowed) this.status.textContent = "Your key may read only: sign in with one that has the scope submit to store a profile.";
   }
@@ -65,7 +67,8 @@ export class MeasurePanel {
     const stop = (this.stop = new AbortController());
     this.button.textContent = "Stop";
     this.result.replaceChildren();
-    const canvas = h("canvas", { width: WIDTH, height: HEIGHT, role: "img", "aria-label": "The frames that are being measured" });
+    const [width, height] = SIZES[Number(this.size.value)];
+    const canvas = h("canvas", { width, height, role: "img", "aria-label": "The frames that are being measured" });
     this.picture.replaceChildren(canvas);
     const points: Measured[] = [];
     const began = Date.now();
