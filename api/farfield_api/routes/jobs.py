@@ -3,7 +3,7 @@
 import json
 from typing import Annotated, Any
 
-from farfield.errors import JobNotFinished
+from farfield.errors import JobNotFinished, SettingsInvalid
 from farfield.settings import Settings, from_mapping, to_mapping
 from farfield.stages import Stage
 from farfield.store import jobs, scenes
@@ -36,7 +36,14 @@ from farfield_api.times import iso
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 # The schema is the dataclass's; the checks are the domain's own, so that a bad value has the same error everywhere.
-CheckedSettings = Annotated[Settings, WrapValidator(lambda value, inner: from_mapping(value))]
+CheckedSettings = Annotated[Settings, WrapValidator(lambda value, inner: _checked(value))]
+
+
+def _checked(value: Any) -> Settings:
+    settings = from_mapping(value)
+    if settings.placement.base is not None:  # else the job would end as BaseUnfit, minutes later
+        raise SettingsInvalid("placement.base", "a job places from scratch; `farfield place --from` starts from a placement")
+    return settings
 
 
 class JobRequest(BaseModel):

@@ -338,6 +338,7 @@ export interface PlacementSettings {
   regions?: number;
   bound?: "auto" | "lp" | "lagrangian" | "off";
   time_limit_s?: number | null;
+  base?: string | null;
 }
 
 export interface Preset {
