@@ -219,6 +219,7 @@ STATUS: dict[type[FarfieldError], int] = {
     errors.ImpostorError: 422,
     errors.PlacementFileError: 422,
     errors.CalibrationError: 422,
+    errors.BaseUnfit: 422,
     errors.OutsideViewSpace: 422,
     errors.SceneNotFound: 404,
     errors.UploadNotFound: 404,
