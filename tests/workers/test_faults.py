@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 from farfield.stages import Stage
-from farfield.store import counters, jobs, progress, shards
+from farfield.store import counters, failures, jobs, progress, shards
 from farfield.store.engine import now, write
 from farfield.store.tables import job, shard
 from farfield_workers.work import advance
@@ -110,7 +110,7 @@ def test_a_full_disk_puts_a_shard_off_and_costs_it_no_attempt(in_process, monkey
         return plain(inputs, shard_)
 
     with_step(in_process, Stage.HIERARCHY, run=run)
-    monkeypatch.setattr(shards, "PUT_OFF_S", (0.0,))
+    monkeypatch.setattr(failures, "PUT_OFF_S", (0.0,))
     job_id, message = in_process.submit()
     in_process.run(message)
     assert in_process.job(job_id).state == "done"
@@ -124,8 +124,8 @@ def test_a_disk_that_stays_full_fails_the_job_by_name_and_tells_no_path(in_proce
         raise OSError(errno.ENOSPC, "No space left on device", "/a/secret/path")
 
     with_step(in_process, Stage.HIERARCHY, run=run)
-    monkeypatch.setattr(shards, "PUT_OFF_S", (0.0,))
-    monkeypatch.setattr(shards, "MAX_PUT_OFF", 3)
+    monkeypatch.setattr(failures, "PUT_OFF_S", (0.0,))
+    monkeypatch.setattr(failures, "MAX_PUT_OFF", 3)
     job_id, message = in_process.submit()
     in_process.run(message)
     error = in_process.job(job_id).error

@@ -10,7 +10,7 @@ import pytest
 import sqlalchemy as sa
 from farfield.errors import JobStillRunning
 from farfield.stages import Stage
-from farfield.store import collect, events, jobs, progress, shards
+from farfield.store import collect, events, failures, jobs, progress, shards
 from farfield.store.engine import now, read, write
 from farfield.store.tables import job, shard, stage
 
@@ -163,7 +163,7 @@ def test_who_lost_the_lease_commits_nothing(in_process):
     result = {"digest": digest, "n_bytes": 33, "key": None, "seconds": 0.0, "peak_bytes": 1}
     assert not shards.renew(in_process.engine, old)
     assert shards.commit(in_process.engine, old, **result) == "lost"
-    assert shards.fail(in_process.engine, old, error={}, log="", again=True) == "lost"
+    assert failures.fail(in_process.engine, old, error={}, log="", again=True) == "lost"
     assert shards.renew(in_process.engine, new)
     assert shards.commit(in_process.engine, new, **result) == "last"
     assert new.attempt == 2
@@ -305,12 +305,12 @@ def test_stopping_the_service_is_no_attempt(in_process):
 
 @pytest.mark.parametrize("how", ["stopped", "put off"])
 def test_who_gave_a_shard_back_touches_no_later_claim_of_the_same_attempt(in_process, monkeypatch, how):
-    monkeypatch.setattr(shards, "PUT_OFF_S", (0.0,))
+    monkeypatch.setattr(failures, "PUT_OFF_S", (0.0,))
     _, message = in_process.submit()
     old = shards.claim(in_process.engine, message.shard_id, worker="old")
 
     def put_off():
-        return shards.put_off(in_process.engine, old, error={}, log="")
+        return failures.put_off(in_process.engine, old, error={}, log="")
 
     assert progress.hand_back(in_process.engine, "old") == 1 if how == "stopped" else put_off() == "ready"
     new = shards.claim(in_process.engine, message.shard_id, worker="new")

@@ -11,13 +11,13 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
 import sqlalchemy as sa
-from farfield.store import shards
+from farfield.store import groups
 from farfield.store.shards import Claim
 
 from farfield_workers.settings import WorkerSettings
@@ -54,18 +54,18 @@ def patiently(ask: Callable[[], T], *, seconds: float = PATIENCE_S) -> T:
 
 @contextmanager
 def leased(
-    engine: sa.Engine, held: Claim, settings: WorkerSettings, *, renewed: Callable[[], object] = bool
+    engine: sa.Engine, group: Sequence[Claim], settings: WorkerSettings, *, renewed: Callable[[], object] = bool
 ) -> Iterator[None]:
-    """Renew the lease from a thread, and call `renewed` after each time; raise ShardStopped in the caller's thread once
-    it is lost."""
+    """Renew the leases from a thread, and call `renewed` after each time; raise ShardStopped in the caller's thread once
+    one of them is lost."""
     caller, ended, guard = threading.get_ident(), threading.Event(), threading.Lock()
 
     def keep() -> None:
         while not ended.wait(settings.renew_s):
             try:
-                kept = shards.renew(engine, held, lease_s=settings.lease_s)
+                kept = groups.renew(engine, group, lease_s=settings.lease_s)
             except UNREACHABLE:
-                log.warning("the lease of shard %s could not be renewed", held.shard_id, exc_info=True)
+                log.warning("the lease of shard %s could not be renewed", group[0].shard_id, exc_info=True)
                 continue
             if kept:
                 renewed()
@@ -81,7 +81,7 @@ def leased(
         yield
     except Exception:  # it may run again: what there is of it is handed over, too
         with suppress(*UNREACHABLE):
-            if shards.renew(engine, held, lease_s=settings.lease_s):
+            if groups.renew(engine, group, lease_s=settings.lease_s):
                 renewed()
         raise
     finally:

@@ -9,7 +9,7 @@ import logging
 import os
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from errno import EDQUOT, ENOSPC
@@ -21,9 +21,10 @@ from farfield import memory
 from farfield.errors import ArtifactLost, FarfieldError, OverMemory, StageFailed, StoreUnavailable
 from farfield.stages import Stage
 from farfield.steps.model import Inputs, shard_key
-from farfield.store import progress, shards
+from farfield.store import failures, groups, progress, shards
 from farfield.store.artifacts import Artifacts
 from farfield.store.fair import Host, next_shard
+from farfield.store.groups import Done
 from farfield.store.progress import Message
 from farfield.store.shards import Claim
 
@@ -36,6 +37,10 @@ from farfield_workers.settings import WorkerSettings
 from farfield_workers.table import Pipeline
 
 log = logging.getLogger(__name__)
+
+GROUP_S = 0.25  # what a group should take: short against a lease, long against what claiming it costs
+LONGEST_GROUP_S = 1.0  # then what is left of it goes back
+MOST_IN_GROUP = 32
 
 
 def work_next(
@@ -53,7 +58,7 @@ def work_next(
         return work(engine, artifacts, pipeline, settings, found.shard_id, claimed=claimed)
     refusal = OverMemory(found.need_bytes, settings.memory_bytes or 0)
     error = {"code": refusal.code, "message": str(refusal), "advice": refusal.advice}
-    job_id = patiently(lambda: shards.refuse(engine, found.shard_id, error))
+    job_id = patiently(lambda: failures.refuse(engine, found.shard_id, error))
     return advance(engine, artifacts, pipeline, settings, job_id) if job_id is not None else []
 
 
@@ -76,12 +81,17 @@ def work(
 ) -> list[Message]:  # fmt: skip
     """Run the shard if it is to be run, and return the messages to send."""
     host = Host(name=settings.host, memory_bytes=settings.memory_bytes)
-    held = patiently(
-        lambda: shards.claim(engine, shard_id, worker=settings.worker, lease_s=settings.lease_s, host=host)
-    )
-    if held is None:
+    group = patiently(
+        lambda: shards.claim_group(
+            engine, shard_id, worker=settings.worker, lease_s=settings.lease_s, host=host, most=pace.most
+        )
+    )  # fmt: skip
+    if not group:
         return []
     claimed()
+    if len(group) > 1:
+        return _work_group(engine, artifacts, pipeline, settings, group)
+    held = group[0]
     with telemetry.here.shard(held):
         try:
             if _run(engine, artifacts, pipeline, settings, held) == "more":
@@ -96,6 +106,94 @@ def work(
             if state == "ready":
                 return [Message(shard_id, held.queue)]
         return advance(engine, artifacts, pipeline, settings, held.job_id)
+
+
+def _work_group(
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, group: list[Claim]
+) -> list[Message]:
+    """Run short shards of one stage, and commit them together (store.groups); return the messages to send.
+
+    The first that fails ends the group as it would have ended alone; what is not begun in time is for who is free.
+    """
+    began, done, outcome, messages = time.perf_counter(), list[Done](), "more", list[Message]()
+    failed: Exception | None = None
+    try:
+        with ExitStack() as until_done:
+            folder = Path(until_done.enter_context(TemporaryDirectory(dir=artifacts.temporary, prefix="shard-")))
+            until_done.enter_context(leased(engine, group, settings))
+            try:
+                for one in _computed(engine, artifacts, pipeline, settings, group, folder, until_done):
+                    done.append(one)
+                    if time.perf_counter() - began > LONGEST_GROUP_S:
+                        break
+            except Exception as error:
+                failed = error
+    except ShardStopped:
+        done.clear()
+    if done:
+        outcome, written = patiently(lambda: groups.commit(engine, artifacts, done))
+        pace.note(group[0].stage_id, (time.perf_counter() - began) / len(done))
+        for one in written:
+            with telemetry.here.shard(one.held):
+                telemetry.here.done(one.held, seconds=one.seconds, n_bytes=one.n_bytes, cached=one.cached)
+    if failed is not None:
+        held = group[len(done)]
+        with telemetry.here.shard(held):
+            log.error("failed", exc_info=failed)
+            state = _given_back(engine, held, failed)
+            telemetry.here.failed(held, code=_told(failed, held.stage)["code"], again=state == "ready")
+        messages = [Message(held.shard_id, held.queue)] if state == "ready" else messages
+        outcome = "last" if state == "failed" else outcome
+    # What is committed is ours no more: only what was not run, or could not be written, goes back.
+    if patiently(lambda: groups.give_back(engine, group)):
+        messages.append(Message(group[-1].shard_id, group[0].queue))
+    if outcome == "last":
+        return messages + advance(engine, artifacts, pipeline, settings, group[0].job_id)
+    return messages
+
+
+def _computed(
+    engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, group: list[Claim],
+    folder: Path, until_done: ExitStack,
+) -> Iterator[Done]:  # fmt: skip
+    """Yield the shards of a group, each once its result is stored. Raises what the stage raises."""
+    keys = [_key(pipeline, held) for held in group]
+    known = groups.known_results(engine, group[0].tenant_id, keys)
+    call: Call | None = None
+    for held, key in zip(group, keys, strict=True):
+        with telemetry.here.shard(held):
+            found = known.get(key or "")
+            if found is not None and artifacts.has(found.artifact_digest):
+                n_bytes = artifacts.n_bytes(found.artifact_digest)
+                yield Done(held=held, digest=found.artifact_digest, n_bytes=n_bytes, key=key, cached=True,
+                           seconds=found.seconds or 0.0, peak_bytes=found.peak_bytes or 0)  # fmt: skip
+                continue
+            started = time.perf_counter()
+            if call is None:  # all read the same files
+                mender = restorer(engine, artifacts, pipeline, settings)
+                call = mender.mending(lambda: _call(artifacts, group[0], pipeline, folder, until_done), held.job_id)
+            made = _compute(pipeline, settings, replace(call, params=held.params), folder / "artifact")
+            artifacts.put_file(folder / "artifact", made.digest)
+            yield Done(held=held, digest=made.digest, n_bytes=made.n_bytes, cached=False, peak_bytes=made.peak_bytes,
+                       key=None if _timed(pipeline, held) else key, seconds=time.perf_counter() - started)  # fmt: skip
+
+
+class _Pace:
+    """How long this worker took for a shard of a stage, the last time: how many it should take at once."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[str, float] = {}
+
+    def note(self, stage_id: str, seconds: float) -> None:
+        self._seconds = {stage_id: seconds}  # of the stage that it works on: after another one it begins anew
+
+    def most(self, stage_id: str) -> int:
+        """Return the shards that take about GROUP_S; 1 where nothing is known."""
+        seconds = self._seconds.get(stage_id)
+        return 1 if seconds is None else max(1, min(MOST_IN_GROUP, int(GROUP_S / max(seconds, 1e-3))))
+
+
+pace = _Pace()
 
 
 def advance(
@@ -124,13 +222,13 @@ def restorer(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settin
 
 
 def _given_back(engine: sa.Engine, held: Claim, error: Exception) -> str:
-    """Hand the shard back, and return its state (shards.fail)."""
+    """Hand the shard back, and return its state (failures.fail)."""
     told, trace = _told(error, held.stage), "".join(traceback.format_exception(error))
     if isinstance(error, StoreUnavailable) or (isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT)):
-        return patiently(lambda: shards.put_off(engine, held, error=told, log=trace))
+        return patiently(lambda: failures.put_off(engine, held, error=told, log=trace))
     # A named error is a fact about the input: another attempt would find the same.
     named = isinstance(error, FarfieldError) and not isinstance(error, StageFailed)
-    return patiently(lambda: shards.fail(engine, held, error=told, log=trace, again=not named))
+    return patiently(lambda: failures.fail(engine, held, error=told, log=trace, again=not named))
 
 
 def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: WorkerSettings, held: Claim) -> str:
@@ -142,7 +240,7 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
     with ExitStack() as until_done:
         folder = Path(until_done.enter_context(TemporaryDirectory(dir=artifacts.temporary, prefix="shard-")))
         handed = HandedOver(folder / "checkpoint")
-        until_done.enter_context(leased(engine, held, settings, renewed=handed.give))
+        until_done.enter_context(leased(engine, [held], settings, renewed=handed.give))
         known = shards.known_result(engine, held.tenant_id, key) if key is not None else None
         if known is not None and artifacts.has(known.artifact_digest):
             found = Result(known.artifact_digest, artifacts.n_bytes(known.artifact_digest), known.peak_bytes or 0)
@@ -172,6 +270,7 @@ def _run(engine: sa.Engine, artifacts: Artifacts, pipeline: Pipeline, settings: 
     )  # fmt: skip
     if outcome == "lost":
         raise ShardStopped
+    pace.note(held.stage_id, time.perf_counter() - started)
     telemetry.here.done(held, seconds=seconds, n_bytes=found.n_bytes, cached=cached)
     if checkpoint is not None and not timed:
         artifacts.drop_checkpoint(checkpoint)

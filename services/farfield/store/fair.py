@@ -87,27 +87,28 @@ def _tenants(tx: sa.Connection, running: "Counter[str]") -> list[str]:
 def _of_tenant(tx: sa.Connection, tenant_id: str, queue: str, running: "Counter[str]", passed: list[str]) -> Any:
     """Return (id, need_bytes, waited_s, job_id) of the shard whose turn it is, or None."""
     busy = [j for j in running if j not in passed]
-    of = {"tenant": tenant_id, "queue": queue}
+    of = {"tenant": tenant_id, "of_queue": queue}
     found = list(tx.execute(_IDLE, {**of, "others": [*busy, *passed]}).all())
     if busy:
         found += tx.execute(_BUSY, {**of, "busy": busy}).all()
     best = min(found, key=lambda r: (r.priority, running[r.id], r.turn, r.id), default=None)
     if best is None:
         return None
-    first = tx.execute(_FIRST, {"job": best.id, "queue": queue}).all()
+    first = tx.execute(_FIRST, {"job": best.id, "of_queue": queue}).all()
     return first[os.getpid() % len(first)] if first else None  # not all workers the same one
 
 
 # Statements are made once: to make one takes four times as long as to run it.
 _RUNNING = sa.select(shard.c.tenant_id, shard.c.job_id, shard.c.host, shard.c.need_bytes).where(
-    shard.c.state == "running"
+    shard.c.state == "running",
+    shard.c.host.is_not(None),  # without a host: it waits behind another of its group
 )
 _TENANTS = sa.select(tenant.c.id, tenant.c.turn).where(
     sa.select(job.c.id).where(job.c.tenant_id == tenant.c.id, job.c.finished_at.is_(None)).exists()
 )
 # A shard that was put off waits; not for longer than it was told to, even where the clock has jumped back.
 READY = (
-    (shard.c.state == "ready") & (shard.c.queue == sa.bindparam("queue"))
+    (shard.c.state == "ready") & (shard.c.queue == sa.bindparam("of_queue"))
     & (shard.c.ready_at.is_(None) | (shard.c.ready_at <= now()) | (shard.c.ready_at > now() + LONGEST_S))
 )  # fmt: skip
 _JOBS = (

@@ -98,7 +98,7 @@ def waiting(engine: sa.Engine, queue: str, *, limit: int = WINDOW) -> int:
     alive = sa.select(job.c.id).where(job.c.id == shard.c.job_id, job.c.finished_at.is_(None)).exists()
     with read(engine) as tx:
         some = sa.select(shard.c.id).where(fair.READY, alive).limit(limit).subquery()
-        return int(tx.scalar(sa.select(sa.func.count()).select_from(some), {"queue": queue}) or 0)
+        return int(tx.scalar(sa.select(sa.func.count()).select_from(some), {"of_queue": queue}) or 0)
 
 
 def ready(engine: sa.Engine, *, limit: int = 1000) -> list[Message]:

@@ -1,4 +1,4 @@
-"""The life of a shard: claimed, renewed, committed, failed or put off. Each is one transaction.
+"""The life of a shard: claimed, renewed, committed (failed or put off: `failures`). Each is one transaction.
 
 Claim    One UPDATE takes a shard that is ready, or whose lease ran out, and numbers the claim: of any number of
          messages for it, one wins. The number is the fence: who holds an older one can renew and commit nothing. The
@@ -21,14 +21,12 @@ from sqlalchemy.dialects import postgresql, sqlite
 from farfield.stages import Queue
 from farfield.store import events
 from farfield.store.engine import new_id, now, read, write
-from farfield.store.fair import Host, fits
+from farfield.store.fair import READY, Host, fits
 from farfield.store.tables import artifact, job, scene, shard, stage, tenant
 
 LEASE_S = 60.0  # native code may hold the interpreter, and with it the thread that renews
 MAX_ATTEMPTS = 3
 EVENT_SHARDS = 200  # a stage of more tells of its progress only
-PUT_OFF_S = (2.0, 4.0, 8.0, 15.0, 30.0, 60.0)  # pauses; the last one again and again
-MAX_PUT_OFF = 20  # a quarter of an hour
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,41 +58,65 @@ def claim(
     engine: sa.Engine, shard_id: str, *, worker: str, lease_s: float = LEASE_S, host: Host | None = None
 ) -> Claim | None:
     """Take the shard, or return None where there is nothing (more) to do, or it does not fit on the host now."""
+    return next(iter(claim_group(engine, shard_id, worker=worker, lease_s=lease_s, host=host)), None)
+
+
+def claim_group(
+    engine: sa.Engine, shard_id: str, *, worker: str, lease_s: float = LEASE_S, host: Host | None = None,
+    most: Callable[[str], int] = lambda stage_id: 1,
+) -> list[Claim]:  # fmt: skip
+    """Take the shard, and where its stage is large the next ones that are ready: at most `most` of a stage (`groups`).
+
+    Not more than an eighth of what is left of the stage, so that other workers have their part of it.
+    """
     with write(engine) as tx:
         at = tx.execute(_OF_SHARD, {"of_shard": shard_id}).one_or_none()
         if at is None or at.state not in ("queued", "running") or not _room(tx, host, at.need_bytes):
-            return None
-        taken = {"of_shard": shard_id, "lease": lease_s, "new_worker": worker, "new_host": host.name if host else None}
-        row = tx.execute(_TAKE, {**taken, "impossible": _impossible(lease_s)}).one_or_none()
+            return []
+        taken = {"lease": lease_s, "new_worker": worker, "new_host": host.name if host else ""}
+        row = tx.execute(_TAKE, {**taken, "of_shard": shard_id, "impossible": _impossible(lease_s)}).one_or_none()
         if row is None:
-            return None
+            return []
         fence = None
         if row.queue == Queue.OPTIMIZER:
             fence = _take_optimizer(tx, at.id, shard_id, lease_s)
             if fence is None:
                 tx.rollback()
-                return None
+                return []
+        rows = [row]
+        if not _told_singly(row.kind, at.n_shards) and fence is None and row.attempt == 1:
+            more = min(most(at.stage_id), (at.n_shards - at.n_done) // 8) - 1
+            if more > 0:
+                of = {"of_stage": at.stage_id, "of_job": at.id, "of_queue": row.queue, "more": more}
+                found = tx.execute(_TAKE_MORE, {**taken, **of, "new_host": None}).all()
+                rows += sorted(found, key=lambda r: r.ordinal)
         _serve(tx, row.tenant_id, at.id, started=at.state == "queued")
         if at.state == "queued":
             events.append(tx, at.id, "job", {"state": "running"})
         if _told_singly(row.kind, at.n_shards):
             fact = {"stage": at.name, "kind": row.kind, "ordinal": row.ordinal, "state": "running"}
             events.append(tx, at.id, "shard", {**fact, "attempt": row.attempt})
-        stages = tx.execute(_STAGES, {"job": at.id}).all()
+        made_by = tx.execute(_RESULTS, {"job": at.id}).all()
         pieces: list[str] = []
         if row.kind == "merge":
             pieces = list(tx.scalars(
                 sa.select(shard.c.artifact_digest).where(shard.c.stage_id == at.stage_id, shard.c.kind == "run")
                 .order_by(shard.c.ordinal)
             ))  # fmt: skip
-        outcomes = [_outcome(tx, s) for s in stages] if row.kind == "report" else []
-    return Claim(
-        shard_id=shard_id, job_id=at.id, stage_id=at.stage_id, stage=at.name, kind=row.kind, ordinal=row.ordinal,
-        params=row.params, queue=row.queue, attempt=row.attempt, claim=row.claims, fence=fence, settings=at.settings,
-        scene_digest=at.scene_digest, scene_suffix=at.suffix, pieces=tuple(pieces), outcomes=tuple(outcomes),
-        artifacts={s.name: s.artifact_digest for s in stages if s.artifact_digest}, n_shards=at.n_shards,
-        tenant_id=row.tenant_id,
-    )  # fmt: skip
+        outcomes = []
+        if row.kind == "report":
+            stages = tx.execute(sa.select(stage).where(stage.c.job_id == at.id).order_by(stage.c.ordinal)).all()
+            outcomes = [_outcome(tx, s) for s in stages]
+    artifacts = {s.name: s.artifact_digest for s in made_by}
+    return [
+        Claim(
+            shard_id=r.id, job_id=at.id, stage_id=at.stage_id, stage=at.name, kind=r.kind, ordinal=r.ordinal,
+            params=r.params, queue=r.queue, attempt=r.attempt, claim=r.claims, fence=fence, settings=at.settings,
+            scene_digest=at.scene_digest, scene_suffix=at.suffix, pieces=tuple(pieces), outcomes=tuple(outcomes),
+            artifacts=artifacts, n_shards=at.n_shards, tenant_id=r.tenant_id,
+        )
+        for r in rows
+    ]  # fmt: skip
 
 
 def made(engine: sa.Engine, digest: str, job_id: str) -> Claim | None:
@@ -125,7 +147,7 @@ def renew(engine: sa.Engine, held: Claim, *, lease_s: float = LEASE_S) -> bool:
     """Prolong the lease. False: the shard is no longer ours (cancelled, or taken over), stop working on it."""
     with write(engine) as tx:
         lock_job(tx, held.job_id)
-        updated = tx.execute(_RENEW, {**_ours(held), "job": held.job_id, "lease": lease_s}).rowcount
+        updated = tx.execute(RENEW, {**ours(held), "job": held.job_id, "lease": lease_s}).rowcount
         if updated and held.fence is not None:
             tx.execute(
                 sa.update(job).where(job.c.id == held.job_id, job.c.optimizer_token == held.fence)
@@ -153,82 +175,31 @@ def commit(
     `check` is called in the transaction, once nobody can delete the artifact any more: it raises where it is gone.
     """
     with write(engine) as tx:
-        at = tx.execute(_LOCKED, {"job": held.job_id}).one_or_none()
+        at = tx.execute(LOCKED, {"job": held.job_id}).one_or_none()
         if at is None or at.state != "running" or (held.fence is not None and at.optimizer_token != held.fence):
             return "lost"
         put_artifact(tx, digest, n_bytes)
         check()
         facts = {"new_digest": digest, "new_key": key, "took": seconds, "peak": peak_bytes, "was_cached": cached}
-        updated = tx.execute(_COMMIT, {**_ours(held), **facts}).rowcount
+        updated = tx.execute(COMMIT, {**ours(held), **facts}).rowcount
         if not updated:
             return "lost"
         if held.fence is not None:
-            _release_optimizer(tx, held)
-        more = {"stage": held.stage_id, "one": int(held.kind == "run"), "peak": peak_bytes}
-        counted = tx.execute(_COUNT, more).one()
+            release_optimizer(tx, held)
         if _told_singly(held.kind, held.n_shards):
             fact = {"stage": held.stage, "kind": held.kind, "ordinal": held.ordinal, "state": "done"}
             events.append(tx, held.job_id, "shard", {**fact, "seconds": round(seconds, 3), "cached": cached})
-        elif counted.n_done * 100 // counted.n_shards != (counted.n_done - 1) * 100 // counted.n_shards:
-            told = {"stage": held.stage, "state": "running", "shards": counted.n_shards, "done": counted.n_done}
-            events.append(tx, held.job_id, "stage", told)
-        return "more" if held.kind == "run" and counted.n_done < counted.n_shards else "last"
+        return counted(tx, held, int(held.kind == "run"), peak_bytes)
 
 
-def fail(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str, again: bool) -> str:
-    """Record that the attempt failed; return "ready" (run it again), "failed" (for good) or "lost" (not ours)."""
-    return _back(
-        engine, held, state="ready" if again and held.attempt < MAX_ATTEMPTS else "failed", error=error, log=log
-    )
-
-
-def put_off(engine: sa.Engine, held: Claim, *, error: Mapping[str, str], log: str) -> str:
-    """Hand the shard back for a while, for want of something that comes back: disk space, the store. No attempt of its.
-
-    Returns "ready", "lost", or "failed" after MAX_PUT_OFF times.
-    """
-    with read(engine) as tx:
-        times = tx.scalar(sa.select(shard.c.put_off).where(shard.c.id == held.shard_id)) or 0
-    if times >= MAX_PUT_OFF:
-        return _back(engine, held, state="failed", error=error, log=log)
-    later = {"ready_at": now() + PUT_OFF_S[min(times, len(PUT_OFF_S) - 1)], "put_off": times + 1}
-    return _back(engine, held, state="ready", error=error, log=log, **later, attempt=shard.c.attempt - 1)
-
-
-def _back(engine: sa.Engine, held: Claim, *, state: str, error: Mapping[str, str], log: str, **values: Any) -> str:
-    with write(engine) as tx:
-        lock_job(tx, held.job_id)
-        updated = tx.execute(
-            sa.update(shard).where(_OURS).values(
-                **{"state": state, "lease_until": None, "ready_at": now(), "error": dict(error), "log": log[-20_000:],
-                   **values}
-            ), _ours(held)
-        ).rowcount  # fmt: skip
-        if not updated:
-            return "lost"
-        if held.fence is not None:
-            _release_optimizer(tx, held)
-        fact = {"stage": held.stage, "kind": held.kind, "ordinal": held.ordinal, "state": state}
-        events.append(tx, held.job_id, "shard", {**fact, "attempt": held.attempt, "error": dict(error)})
-        return state
-
-
-def refuse(engine: sa.Engine, shard_id: str, error: Mapping[str, str]) -> str | None:
-    """Fail a shard that is ready and that nobody can run; return its job, or None where it is not ready any more."""
-    with write(engine) as tx:
-        at = tx.execute(
-            sa.select(shard.c.job_id, shard.c.kind, shard.c.ordinal, stage.c.name)
-            .join(stage, stage.c.id == shard.c.stage_id).where(shard.c.id == shard_id)
-        ).one_or_none()  # fmt: skip
-        if at is None:
-            return None
-        lock_job(tx, at.job_id)
-        ready = (shard.c.id == shard_id) & (shard.c.state == "ready")
-        if not tx.execute(sa.update(shard).where(ready).values(state="failed", error=dict(error))).rowcount:
-            return None
-        fact = {"stage": at.name, "kind": at.kind, "ordinal": at.ordinal, "state": "failed", "error": dict(error)}
-        events.append(tx, at.job_id, "shard", fact)
-        return str(at.job_id)
+def counted(tx: sa.Connection, held: Claim, number: int, peak_bytes: int) -> str:
+    """Count so many shards of the stage as done, and tell of its progress where it is a large one; return as `commit` does."""
+    at = tx.execute(_COUNT, {"stage": held.stage_id, "number": number, "peak": peak_bytes}).one()
+    told = {"stage": held.stage, "state": "running", "shards": at.n_shards, "done": at.n_done}
+    before, after = (100 * n // max(at.n_shards, 1) for n in (at.n_done - number, at.n_done))
+    if not _told_singly(held.kind, held.n_shards) and before != after:
+        events.append(tx, held.job_id, "stage", told)
+    return "more" if held.kind == "run" and at.n_done < at.n_shards else "last"
 
 
 def anew(row: sa.Row[Any]) -> dict[str, Any]:
@@ -246,7 +217,7 @@ def lock_job(tx: sa.Connection, job_id: str | None) -> None:
 
 def put_artifact(tx: sa.Connection, digest: str, n_bytes: int) -> None:
     """Make sure that the blob has its row, and hold the row: who would collect it waits until we have committed."""
-    tx.execute(_PUT[tx.dialect.name], {"new_digest": digest, "new_bytes": n_bytes})
+    tx.execute(PUT[tx.dialect.name], {"new_digest": digest, "new_bytes": n_bytes})
 
 
 def lapsed(lease_s: float = LEASE_S) -> sa.ColumnElement[bool]:
@@ -288,8 +259,8 @@ def _told_singly(kind: str, n_shards: int) -> bool:
     return kind != "run" or n_shards <= EVENT_SHARDS
 
 
-def _ours(held: Claim) -> dict[str, Any]:
-    """Return the parameters of _OURS."""
+def ours(held: Claim) -> dict[str, Any]:
+    """Return the parameters of OURS."""
     return {"of_shard": held.shard_id, "held_claim": held.claim}
 
 
@@ -302,7 +273,7 @@ def _take_optimizer(tx: sa.Connection, job_id: str, shard_id: str, lease_s: floa
     )  # fmt: skip
 
 
-def _release_optimizer(tx: sa.Connection, held: Claim) -> None:
+def release_optimizer(tx: sa.Connection, held: Claim) -> None:
     tx.execute(
         sa.update(job).where(job.c.id == held.job_id, job.c.optimizer_token == held.fence)
         .values(optimizer_until=None, optimizer_shard_id=None)
@@ -331,47 +302,65 @@ def _put(insert: Any) -> Any:
     return statement.on_conflict_do_update(index_elements=[artifact.c.digest], set_={"marked_at": None})
 
 
-_PUT = {"sqlite": _put(sqlite.insert), "postgresql": _put(postgresql.insert)}
-_OURS = (
+PUT = {"sqlite": _put(sqlite.insert), "postgresql": _put(postgresql.insert)}
+OURS = (
     (shard.c.id == sa.bindparam("of_shard")) & (shard.c.claims == sa.bindparam("held_claim"))
     & (shard.c.state == "running")
 )  # fmt: skip
 _OF_SHARD = (
     sa.select(
         job.c.id, job.c.state, job.c.settings, job.c.scene_digest, scene.c.suffix, shard.c.need_bytes, shard.c.stage_id,
-        stage.c.name, stage.c.n_shards,
+        stage.c.name, stage.c.n_shards, stage.c.n_done,
     )
     .join(stage, stage.c.id == shard.c.stage_id).join(job, job.c.id == shard.c.job_id)
     .join(scene, (scene.c.tenant_id == job.c.tenant_id) & (scene.c.digest == job.c.scene_digest))
     .where(shard.c.id == sa.bindparam("of_shard")).with_for_update(of=job)
 )  # fmt: skip
+_TAKEN = {
+    "state": "running", "attempt": shard.c.attempt + 1, "claims": shard.c.claims + 1,
+    "lease_until": now() + sa.bindparam("lease", type_=sa.Double), "worker": sa.bindparam("new_worker"),
+    "host": sa.bindparam("new_host"),
+}  # fmt: skip
+_RETURNED = [
+    shard.c[n] for n in ("id", "tenant_id", "kind", "ordinal", "queue", "params", "attempt", "claims")
+]  # fmt: skip
 _TAKE = (
     sa.update(shard)
     .where(
         shard.c.id == sa.bindparam("of_shard"), shard.c.attempt < MAX_ATTEMPTS,
         (shard.c.state == "ready") | _lapsed(sa.bindparam("impossible", type_=sa.Double)),
     )
-    .values(
-        state="running", attempt=shard.c.attempt + 1, claims=shard.c.claims + 1,
-        lease_until=now() + sa.bindparam("lease", type_=sa.Double), worker=sa.bindparam("new_worker"),
-        host=sa.bindparam("new_host"),
+    .values(_TAKEN).returning(*_RETURNED)
+)  # fmt: skip
+_TAKE_MORE = (
+    sa.update(shard)
+    .where(
+        shard.c.state == "ready",
+        shard.c.id.in_(
+            sa.select(shard.c.id)
+            .where(shard.c.job_id == sa.bindparam("of_job"), READY, shard.c.stage_id == sa.bindparam("of_stage"),
+                   shard.c.kind == "run", shard.c.attempt == 0)
+            .order_by(shard.c.ordinal).limit(sa.bindparam("more", type_=sa.Integer)).correlate(None)
+        ),
     )
-    .returning(*(shard.c[n] for n in ("tenant_id", "kind", "ordinal", "queue", "params", "attempt", "claims")))
+    .values(_TAKEN).returning(*_RETURNED)
 )  # fmt: skip
 _LOCK_HOST = sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(sa.bindparam("host", type_=sa.String))))
 _HELD = sa.select(sa.func.coalesce(sa.func.sum(shard.c.need_bytes), 0)).where(
     shard.c.state == "running", shard.c.host == sa.bindparam("host")
 )
-_STAGES = sa.select(stage).where(stage.c.job_id == sa.bindparam("job")).order_by(stage.c.ordinal)
+_RESULTS = sa.select(stage.c.name, stage.c.artifact_digest).where(
+    stage.c.job_id == sa.bindparam("job"), stage.c.artifact_digest.is_not(None)
+)
 _others = tenant.alias()
 _SERVE_TENANT = (
     sa.update(tenant).where(tenant.c.id == sa.bindparam("tenant"))
     .values(turn=sa.select(sa.func.max(_others.c.turn) + 1).scalar_subquery()).returning(tenant.c.turn)
 )  # fmt: skip
 _SERVE_JOB = sa.update(job).where(job.c.id == sa.bindparam("job")).values(turn=sa.bindparam("served"))
-_RENEW = (
+RENEW = (
     sa.update(shard)
-    .where(_OURS, sa.select(job.c.id).where(job.c.id == sa.bindparam("job"), job.c.state == "running").exists())
+    .where(OURS, sa.select(job.c.id).where(job.c.id == sa.bindparam("job"), job.c.state == "running").exists())
     .values(lease_until=now() + sa.bindparam("lease", type_=sa.Double))
 )
 _KNOWN = (
@@ -379,8 +368,8 @@ _KNOWN = (
     .where(shard.c.key == sa.bindparam("key"), shard.c.tenant_id == sa.bindparam("tenant"), shard.c.state == "done",
            shard.c.artifact_digest.is_not(None)).limit(1)
 )  # fmt: skip
-_LOCKED = sa.select(job.c.state, job.c.optimizer_token).where(job.c.id == sa.bindparam("job")).with_for_update()
-_COMMIT = sa.update(shard).where(_OURS).values(
+LOCKED = sa.select(job.c.state, job.c.optimizer_token).where(job.c.id == sa.bindparam("job")).with_for_update()
+COMMIT = sa.update(shard).where(OURS).values(
     state="done", artifact_digest=sa.bindparam("new_digest"), key=sa.bindparam("new_key"), lease_until=None,
     seconds=sa.bindparam("took"), peak_bytes=sa.bindparam("peak"), cached=sa.bindparam("was_cached"), error=None, log=None,
 )  # fmt: skip
@@ -388,7 +377,7 @@ _before = sa.func.coalesce(stage.c.peak_bytes, 0)
 _peak = sa.bindparam("peak", type_=sa.BigInteger)
 _COUNT = (
     sa.update(stage).where(stage.c.id == sa.bindparam("stage"))
-    .values(n_done=stage.c.n_done + sa.bindparam("one", type_=sa.Integer),
+    .values(n_done=stage.c.n_done + sa.bindparam("number", type_=sa.Integer),
             peak_bytes=sa.case((_before > _peak, _before), else_=_peak))
     .returning(stage.c.n_done, stage.c.n_shards)
 )  # fmt: skip

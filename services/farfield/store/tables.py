@@ -332,7 +332,7 @@ shard = sa.Table(
     sa.Column("ready_at", sa.Double, default=now(), nullable=True),  # since when it could run; ahead: it was put off
     sa.Column("put_off", sa.SmallInteger, nullable=False, server_default="0"),  # how often, for want of disk or store
     sa.Column("need_bytes", sa.BigInteger, nullable=False, server_default="0"),  # memory, an upper estimate
-    sa.Column("host", sa.String(255), nullable=True),  # whose memory its worker shares
+    sa.Column("host", sa.String(255), nullable=True),  # whose memory its worker shares; null: it waits in a group
     sa.Column("worker", sa.String(100), nullable=True),
     _artifact("artifact_digest"),
     sa.Column("cached", sa.Boolean, nullable=False),  # its key was known: taken over, not computed
