@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from benchmarks.measure import best_seconds, exponent
+from benchmarks.stored import pages_of_cells
 from farfield.bake.bake import bake_batch
 from farfield.candidates.model import BOX
 from farfield.hierarchy.build import build_hierarchy
@@ -77,18 +78,7 @@ def test_cropping_and_sharing_at_least_halve_the_bytes(cutout, report):
 
 def test_pages_that_a_cell_touches(coarse_cutout, tmp_path, report):
     placement = Placement.open(coarse_cutout.save(tmp_path))
-    touched, least = [], []
-    for k, entry in enumerate(placement.manifest["chunks"]):
-        chunk = placement.chunk(k)
-        area = chunk["layer_rect"][:, 2:].astype(np.int64).prod(1)
-        for c in range(*entry["cells"]):
-            views = range(*chunk["cell_view"][c - entry["cells"][0] :][:2])
-            lists = {int(chunk["view_list"][v]) for v in views}
-            shown = {int(m) for s in lists for m in chunk["list_impostor"][slice(*chunk["list_row"][s : s + 2])]}
-            rows = [r for m in shown for r in range(*chunk["impostor_layer"][m : m + 2])]
-            if rows:
-                touched.append(len(set(chunk["layer_page"][rows].tolist())))
-                least.append(-(-int(area[rows].sum()) // 1024**2))
+    touched, least = pages_of_cells(placement)
     report(
         stage="placementdb", work="pages that a cell's views touch, mean and least",
         input=f"{coarse_cutout.name}, {len(touched)} cells, {len(placement.manifest['pages'])} pages, least {np.mean(least):.1f}",
