@@ -48,7 +48,7 @@ chaos: setup ## disturb the service in 50 runs: kill, stop, cut off, fill, damag
 
 accept: setup ## run the whole demo, check it and print its figures
 	@sh infra/setup/system.sh chromium
-	@$(VENV)/python -m pytest tests/accept --accept -s
+	@$(VENV)/python -m pytest tests/accept tests/services/experiment/test_compare.py --accept -s
 
 check: .venv/.ready webviewer/node_modules/.ready ## format, lint, types, import contracts, TypeScript
 	@$(VENV)/ruff format --check . && $(VENV)/ruff check .

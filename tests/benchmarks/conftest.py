@@ -1,6 +1,11 @@
-"""Benchmarks run with --bench only; their rows are printed at the end, and kept with --bench-save."""
+"""Benchmarks run with --bench only; their rows are printed at the end, and kept with --bench-save.
+
+Kept are results/VERSION.csv and .md; results/golden.csv, what later runs are held against, is made by copying the former: it
+changes on purpose only.
+"""
 
 import os
+import platform
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -8,13 +13,15 @@ from typing import Any
 
 import pytest
 from benchmarks.inputs import Level, cutout_level
-from benchmarks.measure import Row, as_csv, as_table, line
+from benchmarks.measure import Machine, Row, as_csv, as_page, as_table, finished, line, measure_machine, read_golden
 from farfield.stages import Stage
 
 HERE = Path(__file__).parent
 _ORDER: list[str] = [*Stage, "service"]
 _ORDER.insert(_ORDER.index(Stage.CANDIDATES), "impostor")  # the leaf that candidates stands on
 _ROWS = pytest.StashKey[list[Row]]()
+_MACHINE = pytest.StashKey[Machine]()
+_GOLDEN = HERE / "results" / "golden.csv"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -32,7 +39,9 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
     rows = sorted(config.stash.get(_ROWS, []), key=lambda row: _ORDER.index(row.stage.split()[0]))
     if not rows:
         return
+    machine = config.stash[_MACHINE]
     terminalreporter.section("benchmarks")
+    terminalreporter.write_line(f"The machine {machine}.")
     terminalreporter.write_line(as_table(rows))
     if config.getoption("--bench-save"):
         if exitstatus:
@@ -40,7 +49,11 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
             return
         path = HERE / "results" / f"{version('farfield')}.csv"
         path.parent.mkdir(exist_ok=True)
-        path.write_text(as_csv(rows, cores=len(os.sched_getaffinity(0))), encoding="utf-8")
+        cores = len(os.sched_getaffinity(0))
+        path.write_text(as_csv(rows, machine, cores=cores), encoding="utf-8")
+        where = f"farfield {version('farfield')}, {platform.machine()}, {cores} cores, {platform.system()}"
+        page = as_page(rows, machine, command="make bench", where=where)
+        path.with_suffix(".md").write_text(f"# Benchmarks of {version('farfield')}\n\n{page}", encoding="utf-8")
         terminalreporter.write_line(f"saved as {path.relative_to(HERE.parents[1])}")
 
 
@@ -48,8 +61,13 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
 def report(request: pytest.FixtureRequest) -> Callable[..., None]:
     """Takes the fields of a Row, prints it and keeps it for the table."""
 
+    config = request.config
+    if _MACHINE not in config.stash:
+        config.stash[_MACHINE] = measure_machine()
+    golden = read_golden(_GOLDEN.read_text(encoding="utf-8")) if _GOLDEN.exists() else {}
+
     def add(**given: Any) -> None:
-        row = Row(**given)
+        row = finished(Row(**given), config.stash[_MACHINE], golden)
         request.config.stash.setdefault(_ROWS, []).append(row)
         print("\n" + line(row), end="", flush=True)
 

@@ -1,16 +1,24 @@
 """Seconds, ratios and scaling exponents of one run, as rows of a table.
 
 Seconds depend on the machine and on what else it does; ratios within one run hardly do. So a row holds, next to the
-seconds, how many times our time the naive twin takes on one small input, and the slope of log seconds over log size.
+seconds, ratios and a slope:
+
+    x naive    how many times our time the naive twin takes on one small input
+    x before   how many times our time the golden run took (results/golden.csv), both in units of the machine's own `sort`
+    x bound    how many times a physical bound our time is: the bytes that must move over the memory's bandwidth, or the rays
+               over what the ray caster alone does, both measured in the same run
+    exponent   slope of log seconds over log size
 """
 
 import csv
 import io
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
+
+import numpy as np
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +33,48 @@ class Row:
     naive_input: str = ""
     exponent: float | None = None  # seconds ~ size ** exponent, over `sizes`
     sizes: str = ""
+    least_bytes: int | None = None  # that must be read or written
+    bound_s: float | None = None  # what a physical bound allows at best; of `least_bytes` where it is not given
+    bound: str = ""
+    times_before: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Machine:
+    """What this machine does at best, now."""
+
+    copy_bytes_s: float  # read and written by a copy of an array that no cache holds
+    sort_s: float  # numpy's sort of 2**20 random int64: the unit of golden times
+
+    def __str__(self) -> str:
+        return f"copies {self.copy_bytes_s / 1e9:.2f} GB/s, sorts 2**20 int64 in {1e3 * self.sort_s:.1f} ms"
+
+
+def measure_machine() -> Machine:
+    """Return the best of a few tries."""
+    source = np.zeros(2**24, dtype=np.int64)
+    target = np.ones_like(source)
+    values = np.random.default_rng(0).integers(0, 2**62, 2**20)
+    copied = best_seconds(lambda: np.copyto(target, source))
+    return Machine(copy_bytes_s=2 * source.nbytes / copied, sort_s=best_seconds(lambda: np.sort(values)))
+
+
+def nbytes(*made: Any) -> int:
+    """Return the bytes of arrays, and of the arrays that objects of named fields hold."""
+    total = 0
+    for value in made:
+        names = getattr(value, "__dataclass_fields__", None)
+        held = [value] if names is None else [getattr(value, name) for name in names]
+        total += sum(v.nbytes for v in held if isinstance(v, np.ndarray))
+    return total
+
+
+def finished(row: Row, machine: Machine, golden: Mapping[tuple[str, str], float]) -> Row:
+    """Return the row with what needs the machine and the golden run (stage, work -> seconds in units of its sort)."""
+    if row.least_bytes is not None and row.bound_s is None:
+        row = replace(row, bound_s=row.least_bytes / machine.copy_bytes_s, bound=f"{_short(row.least_bytes)}B moved")
+    before = golden.get((row.stage, row.work))
+    return replace(row, times_before=before * machine.sort_s / row.seconds) if before and row.seconds else row
 
 
 def best_seconds(run: Callable[[], Any], *, most: int = 5, within_s: float = 4.0) -> float:
@@ -53,13 +103,15 @@ def exponent(sizes: Sequence[float], seconds: Sequence[float]) -> float:
     return sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True)) / across
 
 
-_HEAD = ("stage", "work", "input", "seconds", "throughput", "x naive", "exponent")
+_HEAD = ("stage", "work", "input", "seconds", "throughput", "x naive", "x before", "x bound", "exponent")
 
 
 def _cells(row: Row) -> tuple[str, ...]:
     return (
         row.stage, row.work, row.input, f"{row.seconds:.3g}", f"{_short(row.rate)} {row.unit}",
         "-" if row.times_naive is None else f"{row.times_naive:,.3g} ({row.naive_input})",
+        "-" if row.times_before is None else f"{row.times_before:.2f}",
+        "-" if not row.bound_s else f"{row.seconds / row.bound_s:,.3g} ({row.bound})",
         "-" if row.exponent is None else f"{row.exponent:.2f} ({row.sizes})",
     )  # fmt: skip
 
@@ -83,13 +135,25 @@ def as_table(rows: Sequence[Row]) -> str:
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(cells, widths)).rstrip() for cells in lines)
 
 
-def as_csv(rows: Sequence[Row], *, cores: int) -> str:
-    """Return all rows as CSV, numbers to three digits; `cores` is what the machine had."""
+def as_csv(rows: Sequence[Row], machine: Machine, *, cores: int) -> str:
+    """Return all rows as CSV, numbers to three digits; `cores` is what the machine had, `sorts` the unit of golden times."""
     out = io.StringIO()
     names = [f.name for f in fields(Row)]
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*names, "cores"])
+    writer.writerow([*names, "sorts", "cores"])
     for row in rows:
-        values = [getattr(row, name) for name in names]
+        values = [*(getattr(row, name) for name in names), row.seconds / machine.sort_s]
         writer.writerow([*("" if v is None else f"{v:.3g}" if isinstance(v, float) else v for v in values), cores])
     return out.getvalue()
+
+
+def read_golden(text: str) -> dict[tuple[str, str], float]:
+    """Return (stage, work) -> seconds in units of that run's sort, of what `as_csv` wrote."""
+    return {(row["stage"], row["work"]): float(row["sorts"]) for row in csv.DictReader(io.StringIO(text))}
+
+
+def as_page(rows: Sequence[Row], machine: Machine, *, command: str, where: str) -> str:
+    """Return all rows as a Markdown table with what they rest on."""
+    lines = [_HEAD, tuple("---" for _ in _HEAD), *map(_cells, rows)]
+    table = "\n".join("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |" for cells in lines)
+    return f"    {command}\n\n{where}; it {machine}. Columns: `tests/benchmarks/measure.py`.\n\n{table}\n"

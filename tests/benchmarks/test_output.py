@@ -38,7 +38,7 @@ def test_bake(renderer, cutout, coarse_cutout, request, report):
     report(
         stage=f"bake {renderer}", work="record, shade and crop layers", input=f"{cutout.name}, {span[1]} impostors",
         seconds=seconds, rate=baked.tile_data.size / 4 / seconds, unit="texels/s", times_naive=times_naive,
-        naive_input=naive_input,
+        naive_input=naive_input, least_bytes=baked.tile_data.nbytes,
     )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def test_placementdb(coarse_cutout, report):
         stage="placementdb", work="cut, pack, encode, write",
         input=f"{coarse_cutout.name}, {len(coarse_cutout.placement.cluster)} impostors, {size / 1e6:.1f} MB",
         seconds=seconds, rate=n / seconds, unit="texels/s", times_naive=twin / ours,
-        naive_input="a page of one 256x192 block",
+        naive_input="a page of one 256x192 block", least_bytes=size + int(4 * n),
     )  # fmt: skip
 
 
@@ -90,6 +90,7 @@ def test_lookup(coarse_cutout, folder, report):
     report(
         stage="placementdb", work="look up what to draw", input=f"{level.name}, {len(asked)} views", seconds=seconds,
         rate=len(asked) / seconds, unit="lookups/s", times_naive=twin / ours, naive_input=f"{len(few)} lookups",
+        least_bytes=sum(8 * len(placement.lookup(*q).objects) for q in asked),
     )  # fmt: skip
 
 
@@ -108,4 +109,5 @@ def test_evaluation(coarse_cutout, folder, report):
     report(
         stage="evaluation", work="verify from the files", input=f"{coarse_cutout.name}, {n} views", seconds=seconds,
         rate=n / seconds, unit="views/s", times_naive=twin / ours, naive_input="share of the screen of 50 boxes, one view",
+        least_bytes=n * coarse_cutout.scene.object_box.nbytes,
     )  # fmt: skip

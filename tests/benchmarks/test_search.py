@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from benchmarks.inputs import Level, town_level
-from benchmarks.measure import best_seconds, exponent, twin_seconds
+from benchmarks.measure import best_seconds, exponent, nbytes, twin_seconds
 from cutout import city_cutout
 from farfield.candidates.generate import generate
 from farfield.geometry.camera import Camera
@@ -43,7 +43,7 @@ def test_scene(cutout, report):
     report(
         stage="scene", work="read and order a GLB", input=f"{cutout.name}, {len(cutout.scene.index)} triangles", seconds=seconds,
         rate=len(cutout.scene.index) / seconds, unit="triangles/s", times_naive=twin / ours,
-        naive_input=f"area of {len(corner)} triangles",
+        naive_input=f"area of {len(corner)} triangles", least_bytes=path.stat().st_size + nbytes(cutout.scene),
     )  # fmt: skip
 
 
@@ -58,6 +58,7 @@ def test_hierarchy(report):
         stage="hierarchy", work="cluster all objects", input=f"town({sizes[-1]})", seconds=seconds[-1],
         rate=sizes[-1] / seconds[-1], unit="objects/s", times_naive=twin / ours, naive_input="400 objects",
         exponent=exponent(sizes, seconds), sizes=f"objects {sizes[0]}..{sizes[-1]}",
+        least_bytes=nbytes(scenes[-1].object_box, build_hierarchy(scenes[-1])),
     )  # fmt: skip
 
 
@@ -73,6 +74,7 @@ def test_rendertime(cutout, report):
         seconds=seconds[-1], rate=len(many[-1]) * len(cell_boxes) / seconds[-1], unit="bounds/s",
         times_naive=twin / ours, naive_input=f"{len(boxes)} objects, 1 cell",
         exponent=exponent([len(m) for m in many], seconds), sizes=f"objects {len(many[0])}..{len(many[-1])}",
+        least_bytes=len(cell_boxes) * (many[-1].nbytes + 8 * len(many[-1])),
     )  # fmt: skip
 
 
@@ -96,6 +98,7 @@ def test_viewspace(cutout, towns, report):
         seconds=seconds[-1], rate=decided / seconds[-1], unit="boxes x frusta/s", times_naive=times_naive,
         naive_input=f"50 objects, {small.cells.n_cells} cells, 96 frusta",
         exponent=exponent([level.scene.n_objects for level in towns], seconds[:-1]), sizes=sizes_of(towns),
+        least_bytes=cutout.cells.n_cells * cutout.scene.object_box.nbytes + nbytes(cutout.views),
     )  # fmt: skip
 
 
@@ -130,6 +133,7 @@ def test_candidates(cutout, towns, report):
         seconds=seconds[-1], rate=n / seconds[-1], unit="candidates/s", times_naive=twin / ours,
         naive_input=f"{nodes[1] - nodes[0]} clusters, {small.cells.n_cells} cells, {len(small.views.cell)} views",
         exponent=exponent([level.scene.n_objects for level in towns], seconds[:-1]), sizes=sizes_of(towns),
+        least_bytes=nbytes(cutout.views, cutout.candidates),
     )  # fmt: skip
 
 
@@ -149,4 +153,34 @@ def test_placement(cutout, towns, report):
         unit="candidates/s", times_naive=twin / ours,
         naive_input=f"choosing from {len(c.cluster)} for {len(small.views.cell)} views",
         exponent=exponent([level.scene.n_objects for level in towns], seconds[:-1]), sizes=sizes_of(towns),
+        least_bytes=nbytes(cutout.candidates, cutout.views, cutout.placement),
+    )  # fmt: skip
+
+
+def test_visibility(report):
+    """No naive twin here: `tests/naive` holds the kernels to one, the ray caster is a library. Its peak is the bound."""
+    from farfield.visibility.rays import rays_of
+    from farfield.visibility.sample import Sampler
+
+    level = town_level(1600)
+    rays = rays_of(level.scene)
+
+    def sample(most: int) -> Sampler:
+        sampler = Sampler(level.scene, level.cells, int(level.cells.leaf[0]), seed=0, rays=rays)
+        sampler.run(rays=most)
+        return sampler
+
+    sizes = [50_000, 100_000, 200_000]
+    shot = [sample(n).n_rays for n in sizes]
+    seconds = [best_seconds(lambda n=n: sample(n), most=3) for n in sizes]
+    rng = np.random.default_rng(0)
+    low, high = level.cells.cell_box[0]
+    origin = rng.uniform(low, high, (2**17, 3))
+    direction = rng.normal(size=(2**17, 3))
+    direction /= np.sqrt((direction**2).sum(1))[:, None]
+    peak = 2**17 / best_seconds(lambda: rays.first(origin, direction))
+    report(
+        stage="visibility", work="sample what a cell sees", input=f"town(1600), {shot[-1]:,} rays", seconds=seconds[-1],
+        rate=shot[-1] / seconds[-1], unit="rays/s", exponent=exponent(shot, seconds), sizes=f"rays {shot[0]:,}..{shot[-1]:,}",
+        bound_s=shot[-1] / peak, bound=f"random rays alone at {peak / 1e6:.1f}M/s",
     )  # fmt: skip
