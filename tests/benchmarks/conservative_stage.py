@@ -63,7 +63,8 @@ def main() -> None:
         seconds = np.array([sampled, time.process_time() - start])
         np.savetxt(args.folder / f"seconds-{node}.txt", seconds)
         write_parts(dataclass_parts(found), args.folder / f"conservative-{node}.ffc")
-        print(f"shard {node}: {cells.stop[node] - cells.start[node]} cells, {seconds[0]:.1f} + {seconds[1] - seconds[0]:.1f} s", flush=True)
+        n_cells, (first, both) = cells.stop[node] - cells.start[node], seconds
+        print(f"shard {node}: {n_cells} cells, {first:.1f} + {both - first:.1f} s", flush=True)
     own = np.concatenate([np.arange(cells.start[node], cells.stop[node]) for node in some])
 
     def sets(mode: str) -> np.ndarray:
