@@ -336,7 +336,7 @@ def test_pages_fit_their_window_and_do_not_jump(page, service, width, scheme):
     assert page.evaluate(shift) < 0.1
 
 
-@pytest.mark.parametrize("name", ["jobs", "job", "report", "compare", "workers", "storage"])
+@pytest.mark.parametrize("name", ["jobs", "job", "report", "compare", "workers", "storage", "devices"])
 def test_a_page_is_small_and_holds_no_inline_code(name):
     html = (WEB / f"{name}.html").read_text()
     assert not re.search(r"<script(?![^>]*\bsrc=)|<style|\bstyle=|\bon\w+=", html)
