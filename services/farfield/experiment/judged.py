@@ -194,8 +194,8 @@ def placement(sweep: Sweep, settings: Settings) -> Section:
     )  # fmt: skip
     return Section(
         key="placement", title=TITLES["placement"], columns=columns, rows=tuple(rows),
-        text="Bytes before the bake over what no choice can weigh less than: among the same candidates, and among those of density "
-        "5, of which the others are"
+        text="Bytes before the bake over what no choice can weigh less than: among the same candidates, and among those of "
+        "density 5, of which the others are"
         " about subsets. " + _front(rows, "over_richest"),
         truth="the lower bound, a linear programme or Lagrangian prices, proven in integers (placement/bound); it shares the "
         "candidates with what is judged, not the search.",
@@ -247,8 +247,8 @@ def image(sweep: Sweep, settings: Settings, pairs: int) -> Section:
         key="image", title=TITLES["image"], columns=columns, rows=tuple(rows),
         text="The admissible parallax decides how many layers an impostor has; doubling the output's resolution is the"
         " same as halving it. " + _front(rows, "mean_px"),
-        truth=f"pictures of the level with the impostor and with its geometry, drawn by the proof's own renderer ({renderer}) from "
-        "random viewpoints in the view cells.",
+        truth=f"pictures of the level with the impostor and with its geometry, drawn by the proof's own renderer ({renderer}) "
+        "from random viewpoints in the view cells.",
         samples=f"{pairs} pairs of an impostor and a viewpoint a row. Time is that of candidates, placement and bake.",
         plots=(_plot("image", "Parallax over time", rows, {"max_px": "largest", "mean_px": "mean"}, y="pixels", log_y=True),
                _plot("image-flip", "FLIP over time", rows, {"flip": "mean", "flip_p95": "95 %"}, y="FLIP")),
