@@ -144,7 +144,7 @@ def enclosing_frusta(tries: int, seed: int) -> Decided:
                     worst, at = error, f"interval {(face, i, j, n)}, {camera}, box {box.tolist()}, cell {cell.tolist()}"
     return Decided(
         name="enclosing frusta", tried=tries, error=worst, at=at, error_single=worst_single, forbidden=missed,
-        forbidden_single=missed_single, limit=1e-9,
+        forbidden_single=missed_single, limit=1e-8,
         domain="units 1e-6 to 1e6, offsets to 1e7 units, intervals 90 to 5.6 degrees, fov 1 to 100; boxes that touch a "
                "screen corner's ray",
     )  # fmt: skip
