@@ -70,6 +70,8 @@ ON_BOTH = {  # tests of what databases do differently: they run on PostgreSQL, t
     "test_last_shards_that_finish_at_once_advance_once",
     "test_an_odd_error_is_tried_three_times_and_shows_no_secret",
     "test_who_lost_the_lease_commits_nothing",
+    "test_what_was_taken_over_is_not_written_and_the_rest_is",
+    "test_groups_end_a_job_with_the_bytes_that_single_shards_make",
     "test_a_job_has_one_optimizer_at_a_time_and_its_fence_grows",
     "test_three_dead_workers_fail_the_job",
     "test_deleting_a_job_keeps_what_others_need",
