@@ -46,7 +46,8 @@ export class Bench {
     const gl = (this.gl = makeContext(canvas));
     this.timer = gl.getExtension("EXT_disjoint_timer_query_webgl2") as TimerQuery | null;
     this.timed = this.timer ? "gpu timer" : "fences";
-    this.renderer = String(gl.getParameter(gl.RENDERER));
+    const named = gl.getExtension("WEBGL_debug_renderer_info");
+    this.renderer = String(gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
     this.target = new PictureTarget(gl);
     this.objects = new Objects(canvas, gl);
     this.layers = new Layers(gl);

@@ -151,6 +151,7 @@ export function lineOf(event: JobEvent): LogLine {
 
 /** What one square of the grid stands for: worst state first. */
 const WORST: readonly ShardState[] = ["failed", "running", "ready", "cancelled", "done"];
+const RANK = Object.fromEntries(WORST.map((state, k) => [state, k])) as Record<ShardState, number>;
 export const MOST_SQUARES = 2000;
 
 export interface Square {
@@ -165,9 +166,14 @@ export function squares(list: readonly (Shard | undefined)[], most = MOST_SQUARE
   const block = Math.ceil(list.length / most) || 1;
   const found: Square[] = [];
   for (let at = 0; at < list.length; at += block) {
-    const part = Array.from(list.slice(at, at + block), (s) => s ?? blank());
-    const state = WORST.find((w) => part.some((s) => s.state === w)) ?? "ready";
-    found.push({ state, retried: part.some((s) => s.attempt > 1), first: at, count: part.length });
+    const stop = Math.min(list.length, at + block);
+    let [worst, retried] = [WORST.length - 1, false];
+    for (let k = at; k < stop; k++) {
+      const shard = list[k];
+      worst = Math.min(worst, RANK[shard?.state ?? "ready"]);
+      retried ||= shard !== undefined && shard.attempt > 1;
+    }
+    found.push({ state: WORST[worst], retried, first: at, count: stop - at });
   }
   return found;
 }
