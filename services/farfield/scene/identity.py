@@ -36,11 +36,11 @@ def _mesh(scene: Scene, mesh: int, materials: list[bytes]) -> bytes:
         vertices = slice(scene.primitive_vertex[p], scene.primitive_vertex[p + 1])
         digest.update(materials[scene.primitive_material[p]])
         digest.update(np.array([triangles.stop - triangles.start, vertices.stop - vertices.start]).tobytes())
-        digest.update(np.ascontiguousarray(scene.index[triangles] - np.int32(vertices.start)))
+        digest.update((scene.index[triangles] - np.int32(vertices.start)).tobytes())
         for column in (scene.position, scene.normal, scene.uv, scene.color):
-            digest.update(np.ascontiguousarray(column[vertices]))
+            digest.update(column[vertices].tobytes())
         if len(scene.emissive_uv):
-            digest.update(np.ascontiguousarray(scene.emissive_uv[vertices]))
+            digest.update(scene.emissive_uv[vertices].tobytes())
     return digest.digest()
 
 
@@ -54,7 +54,7 @@ def _materials(scene: Scene) -> list[bytes]:
     for k in range(len(scene.material_base_color)):
         digest = hashlib.sha256()
         for name in ("base_color", "emissive", "unlit", "alpha_mode", "alpha_cutoff", "double_sided"):
-            digest.update(np.ascontiguousarray(getattr(scene, f"material_{name}")[k]))
+            digest.update(getattr(scene, f"material_{name}")[k].tobytes())
         for x in (scene.material_texture[k], scene.material_emissive_texture[k]):
             digest.update(textures[x] if x >= 0 else b"none")
         out.append(digest.digest())
