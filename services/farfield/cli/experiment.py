@@ -57,11 +57,16 @@ def run(args: argparse.Namespace) -> int:
     experiment = importlib.import_module(EXPERIMENTS[args.experiment])
     console = Console(stderr=True, quiet=args.json)
     with console.status("") as status:
-        started = time.monotonic()
+        started, last = time.monotonic(), ""
 
         def tell(text: str) -> None:
+            nonlocal last
             passed = int(time.monotonic() - started)
             status.update(f"{passed // 60}:{passed % 60:02} {text}")
+            what = text.partition(":")[0]
+            if not console.is_terminal and what != last:  # a log: a line a job, not a bar
+                console.out(f"{passed // 60}:{passed % 60:02} {what}", highlight=False)
+            last = what
 
         job = Job(
             scene=args.scene, settings=settings, cache=args.cache or args.out / "cache", workers=args.workers, tell=tell,
