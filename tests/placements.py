@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from farfield.bake.model import BakedLayers
 from farfield.candidates.model import BOX
+from farfield.detail.model import no_levels
 from farfield.geometry.cells import build_cells
 from farfield.hierarchy.model import Hierarchy
 from farfield.placement.model import Placement
@@ -173,6 +174,7 @@ def made_up(
         "placement": placement, "baked": baked,
         "settings": Settings(budget=f"{budget} calls", bake=BakeSettings(page_format=page_format)),
         "digests": {"scene": "00" * 32, "scene.glb": "11" * 32}, "lighting": LIGHTING, "threads": 1,
+        "levels": None if detail else no_levels(),  # those of `some_levels` are numbers without meshes
     }  # fmt: skip
 
 

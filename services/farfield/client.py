@@ -236,6 +236,8 @@ class Client:
         manifest = self._file(job, "manifest.json")
         told = json.loads(manifest)
         below = [told["index"], *told["chunks"], *told["pages"]]
+        if geometry := told.get("geometry"):
+            below += [geometry["index"], *geometry["pages"], *geometry["textures"]]
         files: dict[str, str | None] = {f"placement/{f['file']}": str(f["sha256"]) for f in below}
         return manifest, {told["scene"]["file"]: told["scene"]["sha256"], **files, "report.json": None}
 

@@ -74,12 +74,13 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
 
 
 def give_level(folder: Path, level: bytes) -> None:
-    """Write `scene.glb` beside a placement, and its digest and the bake's lighting into the manifest, sealed again."""
+    """Write `scene.glb` beside a placement; the manifest, sealed again, has its digest, the bake's lighting, and no pages of geometry."""
     (folder / "scene.glb").write_bytes(level)
     path = folder / "placement" / "manifest.json"
     manifest = json.loads(path.read_text())
     manifest["scene"] = {"file": "scene.glb", "sha256": hashlib.sha256(level).hexdigest()}
     manifest["lighting"] = LIGHTING
+    manifest["geometry"] = None  # the viewer then takes the level from scene.glb
     manifest["manifest_sha256"] = "0" * 64
     text = json.dumps(manifest, sort_keys=True, separators=(",", ":")) + "\n"
     key = '"manifest_sha256":"'

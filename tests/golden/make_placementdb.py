@@ -5,17 +5,21 @@
 Run it after a change of the format (raise VERSION in farfield/placementdb/layout.py, change the TypeScript reader). The
 expected answers come from tests/naive/placementdb.py, not from either reader.
 
-    manifest.json, index-*, chunks/, pages/    a placement database
+    manifest.json, index-*, chunks/, pages/    a placement database (geometry/ and textures/ but for -detail)
     lookups.json    "lookups": [{position, direction, cell, interval, problem_view, hopeless, objects, levels,
-                    impostors, cost_bound}], "outside": [positions to refuse], "bad_directions": [directions to refuse]
+                    impostors, cost_bound}], "columns": {file: {column: SHA-256}} of squeezed files,
+                    "outside": [positions to refuse], "bad_directions": [directions to refuse]
 """
 
+import hashlib
 import json
 import shutil
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from farfield.placementdb.squeeze import expand
 from farfield.placementdb.write import build_files
 from naive.placementdb import lookup
 from placements import made_up
@@ -45,7 +49,9 @@ GOLDEN: dict[str, dict[str, Any]] = {
 def make(name: str) -> tuple[dict[str, bytes], dict[str, Any]]:
     """Return (files of the tree, content of lookups.json) of one golden placement."""
     made = made_up(**GOLDEN[name])
-    return build_files(**made), {
+    files = build_files(**made)
+    return files, {
+        "columns": _columns(files),
         "lookups": [
             {"position": p.tolist(), "direction": d.tolist(), **answer}
             for p, d in _questions(made)
@@ -54,6 +60,16 @@ def make(name: str) -> tuple[dict[str, bytes], dict[str, Any]]:
         "outside": [p.tolist() for p, d in _questions(made) if lookup(made, p, d) is None],
         "bad_directions": [[0, 0, 0], [0.0, -0.0, 0.0]],
     }
+
+
+def _columns(files: dict[str, bytes]) -> dict[str, dict[str, str]]:
+    """Return the SHA-256 of every column of every squeezed file, as it is when put together again."""
+    out = {}
+    for name in sorted(n for n in files if n.endswith(".ffz")):
+        plain = zlib.decompress(files[name])
+        columns = expand(files[name], len(plain))[1]
+        out[name] = {key: hashlib.sha256(a.tobytes()).hexdigest() for key, a in sorted(columns.items())}
+    return out
 
 
 def _questions(made: dict[str, Any]) -> list[tuple[np.ndarray, np.ndarray]]:

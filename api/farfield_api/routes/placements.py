@@ -28,14 +28,14 @@ router = APIRouter(prefix="/v1/placements", tags=["placements"])
 _FILE: dict[str, Any] = {
     "description": "the file",
     "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in
-                ("application/octet-stream", "model/gltf-binary", "image/webp", "image/png", "image/ktx2")},
+                ("application/octet-stream", "model/gltf-binary", "image/webp", "image/png", "image/jpeg", "image/ktx2")},
 }  # fmt: skip
 _FILE["content"]["application/json"] = {"schema": {}}
 
 IMMUTABLE = "private, max-age=31536000, immutable"
 TYPES = {
     ".json": "application/json", ".glb": "model/gltf-binary", ".webp": "image/webp", ".png": "image/png",
-    ".ktx2": "image/ktx2",
+    ".ktx2": "image/ktx2", ".jpg": "image/jpeg",
 }  # fmt: skip
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from farfield.bake.model import BakedLayers
 from farfield.geometry.cells import CellTree, subtrees
 from farfield.placement.model import Placement
-from farfield.placementdb.layers import Pieces
 from farfield.placementdb.layout import CHUNK, cast
+from farfield.placementdb.table import LayerTable, take
 from farfield.viewspace.model import ProblemViews
 from farfield.visibility.model import VisibleSets
 
@@ -30,13 +29,9 @@ class Chunk:
 
 
 def build_chunks(
-    cells: CellTree, visible: VisibleSets, views: ProblemViews, placement: Placement, baked: BakedLayers,
-    pieces: Pieces, *, block_page: np.ndarray, block_at: np.ndarray,
-) -> list[Chunk]:  # fmt: skip
-    """Return the chunks that have something to say, in order of their cells.
-
-    block_page, block_at    (B,) and (B,2) i64: where each block of `pieces` lies
-    """
+    cells: CellTree, visible: VisibleSets, views: ProblemViews, placement: Placement, table: LayerTable
+) -> list[Chunk]:
+    """Return the chunks that have something to say, in order of their cells."""
     sees_all = visible.row.size == 0
     out = []
     for node in subtrees(cells, most=CELLS):
@@ -48,7 +43,7 @@ def build_chunks(
         columns |= _visible_columns(visible, (a, b))
         ids = np.unique(columns["list_impostor"])
         columns["list_impostor"] = np.searchsorted(ids, columns["list_impostor"])
-        columns |= _impostor_columns(ids, baked, pieces, block_page, block_at)
+        columns |= _impostor_columns(ids, table)
         out.append(Chunk(node=node, cells=(a, b), views=(va, vb), columns=cast(columns, CHUNK)))
     return out
 
@@ -91,25 +86,11 @@ def _once(lists: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(which, dtype=np.int32), row, np.concatenate([np.zeros(0, np.int32), *distinct])
 
 
-def spans(row: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (CSR rows, entry numbers) of the rows `ids` of a CSR table with row starts `row`, one after the other."""
-    count = row[ids + 1] - row[ids]
-    out = np.concatenate([[0], np.cumsum(count)])
-    return out, np.arange(out[-1]) + np.repeat(row[ids] - out[:-1], count)
-
-
-def _impostor_columns(
-    ids: np.ndarray, baked: BakedLayers, pieces: Pieces, block_page: np.ndarray, block_at: np.ndarray
-) -> dict[str, np.ndarray]:
-    layer_row, rows = spans(pieces.row, ids)
-    corner_row, corners = spans(pieces.corner_row, rows)
-    block, layer = pieces.block[rows], pieces.layer[rows]
-    uv = pieces.corner[corners] + np.repeat(block_at[block], np.diff(corner_row), axis=0)
+def _impostor_columns(ids: np.ndarray, table: LayerTable) -> dict[str, np.ndarray]:
+    some = take(table, ids)
     return {
-        "impostor_id": ids, "impostor_eye": baked.eye[ids], "impostor_right": baked.right[ids],
-        "impostor_up": baked.up[ids], "impostor_layer": layer_row, "layer_number": pieces.number[rows],
-        "layer_plane": baked.plane[layer], "layer_inverse_near": 1 / baked.near[layer],
-        "layer_inverse_far": 1 / baked.far[layer], "layer_page": block_page[block],
-        "layer_rect": np.concatenate([block_at[block], pieces.block_rect[block, 2:]], axis=1),
-        "layer_corner": corner_row, "corner_position": pieces.position[corners], "corner_uv": uv,
+        "impostor_id": ids, "impostor_eye": some.eye, "impostor_right": some.right, "impostor_up": some.up,
+        "impostor_layer": some.layer_row, "layer_number": some.number, "layer_plane": some.plane,
+        "layer_inverse_near": some.inverse_near, "layer_inverse_far": some.inverse_far, "layer_page": some.page,
+        "layer_rect": some.rect, "layer_corner": some.corner_row, "corner_position": some.position, "corner_uv": some.uv,
     }  # fmt: skip

@@ -14,6 +14,7 @@ _Columns = dict[str, np.ndarray]
 
 def manifest_fault(manifest: dict[str, Any]) -> str | None:
     """Check the keys that a reader relies on, their types, and the ranges of the chunks."""
+    sound = True
     try:
         origin = [float(x) for x in manifest["origin_m"]]
         boxes = np.array(manifest["view_space"], dtype=np.float64)
@@ -21,7 +22,12 @@ def manifest_fault(manifest: dict[str, Any]) -> str | None:
         numbers = [manifest["worst_nonproblem"], manifest["cost_model"]["per_frame"], manifest["budget"]["amount"]]
         numbers += [manifest["counts"][k] for k in ("objects", "cells", "problem_views", "impostors")]
         entries = [manifest["index"], *manifest["chunks"], *manifest["pages"]]
-        sound = len(origin) == 3 and boxes.ndim == 3 and boxes.shape[1:] == (2, 3)
+        if geometry := manifest.get("geometry"):
+            entries += [geometry["index"], *geometry["pages"], *geometry["textures"]]
+            sound = all(type(e["memory"]) is int for e in geometry["pages"])
+            numbers += [e[key] for e in geometry["textures"] for key in ("width", "height")]
+        numbers += [e["expanded"] for e in entries if e["file"].endswith(".ffz")]
+        sound = sound and len(origin) == 3 and boxes.ndim == 3 and boxes.shape[1:] == (2, 3)
         sound = sound and edges.ndim == 1 and len(edges) >= 2 and bool((np.diff(edges) > 0).all())
         sound = sound and all(type(n) is int for n in numbers)
         sound = sound and all(
@@ -112,6 +118,47 @@ def chunk_fault(chunk: _Columns, meta: dict[str, Any], entry: dict[str, Any], ma
     if (np.diff(chunk["impostor_id"]) <= 0).any():
         return "its impostors are not in ascending order"
     return None
+
+
+def geometry_fault(columns: _Columns, manifest: dict[str, Any], index: _Columns) -> str | None:
+    """Check shapes, rows and ids of the index of the geometry; every object has the levels that it is drawn at."""
+    fault = layout.misfit(columns, layout.GEOMETRY_INDEX)
+    if fault:
+        return fault
+    if len(columns["object_mesh"]) != manifest["counts"]["objects"]:
+        return "it has not as many objects as the manifest states"
+    rows = [("mesh_primitive", "primitive_material"), ("mesh_model", "model_page")]
+    for name, cut in rows:
+        row = columns[name]
+        if not len(row) or row[0] != 0 or row[-1] != len(columns[cut]) or (np.diff(row) < 0).any():
+            return f"the rows {name} do not cut what they should"
+    geometry = manifest["geometry"]
+    ids = [
+        ("object_mesh", 0, len(columns["mesh_model"]) - 1), ("primitive_material", 0, len(columns["material_alpha"])),
+        ("model_page", -1, len(geometry["pages"])), ("material_texture", -1, len(columns["texture_file"])),
+        ("material_glow", -1, len(columns["texture_file"])), ("texture_file", 0, len(geometry["textures"])),
+    ]  # fmt: skip
+    for name, low, stop in ids:
+        if not ((columns[name] >= low) & (columns[name] < stop)).all():
+            return f"an entry of {name} is out of range"
+    mesh = columns["object_mesh"]
+    models = np.diff(columns["mesh_model"])[mesh]
+    levels = np.diff(index["level_row"]) if "level_row" in index else 0
+    if (models < 1 + levels).any() or (columns["model_page"][columns["mesh_model"][mesh]] < 0).any():
+        return "an object lacks one of its levels"
+    return None
+
+
+def geometry_page_fault(columns: _Columns) -> str | None:
+    """Check shapes, rows and vertex numbers of a page of the geometry."""
+    fault = layout.misfit(columns, layout.GEOMETRY_PAGE)
+    if fault:
+        return fault
+    for name, size in (("model_part", len(columns["part_triangle"]) - 1), ("part_triangle", len(columns["index"]))):
+        row = columns[name]
+        if row[0] != 0 or row[-1] != size or (np.diff(row) < 0).any():
+            return f"the rows {name} do not cut what they should"
+    return None if _within(columns["index"], len(columns["position"])) else "a triangle has a vertex that is not there"
 
 
 def _within(ids: np.ndarray, size: int) -> bool:

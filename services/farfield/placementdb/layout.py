@@ -6,12 +6,13 @@ import numpy as np
 
 from farfield.impostor.weight import PAGE_TEXELS as PAGE_TEXELS
 
-FORMAT, VERSION = "farfield placement", 5
-# A placement states the least version whose readers know all of it. Older than PLAIN_VERSION: refused.
-PLAIN_VERSION, DETAIL_VERSION, FORMATS_VERSION = 3, 4, 5  # nothing special, levels of detail, pages other than WebP
+FORMAT, VERSION = "farfield placement", 6
+# Written: VERSION. Read: from OLDEST_VERSION on; below 6 index and chunks are not squeezed and the level is scene.glb only.
+OLDEST_VERSION, DETAIL_VERSION = 3, 4
 SUFFIX = {"webp": ".webp", "png": ".png", "ktx2": ".ktx2"}  # of a page, by its format
 MANIFEST = "manifest.json"
 INDEX_KIND, CHUNK_KIND = "PlacementIndex", "PlacementChunk"
+GEOMETRY_INDEX_KIND, GEOMETRY_PAGE_KIND = "GeometryIndex", "GeometryPage"
 NAME_DIGITS = 16  # hex digits of the SHA-256 in a file's name
 DIGEST_KEY = b'"manifest_sha256":"'
 
@@ -54,6 +55,23 @@ CHUNK: Columns = {
     "layer_inverse_far": ("<f8", ("R",)), "layer_page": ("<i4", ("R",)), "layer_rect": ("<u2", ("R", 4)),
     "layer_corner": ("<i4", ("R+1",)),
     "corner_position": ("<f4", ("Q", 3)), "corner_uv": ("<f4", ("Q", 2)),
+}  # fmt: skip
+
+GEOMETRY_INDEX: Columns = {
+    "object_mesh": ("<i4", ("N",)), "object_matrix": ("<f8", ("N", 3, 4)), "object_color": ("|u1", ("N", 3)),
+    "mesh_primitive": ("<i4", ("M+1",)), "primitive_material": ("<i4", ("P",)),
+    "mesh_model": ("<i4", ("M+1",)), "model_page": ("<i4", ("Q",)), "model_slot": ("<i4", ("Q",)),
+    "material_base_color": ("<f4", ("K", 4)), "material_emissive": ("<f4", ("K", 3)), "material_alpha": ("|u1", ("K",)),
+    "material_cutoff": ("<f4", ("K",)), "material_unlit": ("|u1", ("K",)), "material_two_sided": ("|u1", ("K",)),
+    "material_texture": ("<i4", ("K",)), "material_glow": ("<i4", ("K",)), "material_glow_apart": ("|u1", ("K",)),
+    "texture_file": ("<i4", ("X",)), "texture_wrap": ("<i4", ("X", 2)), "texture_linear": ("|u1", ("X",)),
+    "texture_smooth": ("|u1", ("X",)), "texture_color": ("|u1", ("X", 3)),
+}  # fmt: skip
+
+GEOMETRY_PAGE: Columns = {
+    "model_part": ("<i4", ("m+1",)), "part_triangle": ("<i4", ("R+1",)), "position": ("<f4", ("V", 3)),
+    "normal": ("<f4", ("V", 3)), "uv": ("<f4", ("V?", 2)), "glow_uv": ("<f4", ("V?", 2)), "color": ("<f4", ("V?", 4)),
+    "index": ("<u4", ("T", 3)),
 }  # fmt: skip
 
 

@@ -32,9 +32,16 @@ from farfield.errors import (
 )
 from farfield.geometry.cells import CellTree, find_cell
 from farfield.placementdb import layout
-from farfield.placementdb.faults import chunk_fault, index_fault, manifest_fault
+from farfield.placementdb.faults import (
+    chunk_fault,
+    geometry_fault,
+    geometry_page_fault,
+    index_fault,
+    manifest_fault,
+)
+from farfield.placementdb.squeeze import expand
 
-_FILE = re.compile(r"(index-|chunks/|pages/)[0-9a-f]{16}\.(ffc|webp|png|ktx2)")
+_FILE = re.compile(r"(index-|chunks/|pages/|geometry/|textures/)[0-9a-f]{16}\.(ff[cz]|webp|png|jpg|ktx2)")
 _DIGEST = re.compile(re.escape(layout.DIGEST_KEY) + rb"([0-9a-f]{64})")
 
 
@@ -110,7 +117,7 @@ class Placement:
         if not (folder / layout.MANIFEST).is_file() and (folder / "placement" / layout.MANIFEST).is_file():
             folder = folder / "placement"
         manifest = _read_manifest(folder)
-        kind, index, _ = unpack(_read(folder, manifest["index"]), where=manifest["index"]["file"])
+        kind, index, _ = _columns(folder, manifest["index"])
         fault = "it is not an index" if kind != layout.INDEX_KIND else index_fault(index, manifest)
         if fault:
             raise ColumnsAltered(manifest["index"]["file"], fault)
@@ -206,7 +213,7 @@ class Placement:
         """Return the columns of chunk `k`, verified."""
         if k not in self._chunks:
             entry = self.manifest["chunks"][k]
-            kind, columns, meta = unpack(_read(self.folder, entry), where=entry["file"])
+            kind, columns, meta = _columns(self.folder, entry)
             fault = (
                 "it is not a chunk" if kind != layout.CHUNK_KIND else chunk_fault(columns, meta, entry, self.manifest)
             )
@@ -232,7 +239,37 @@ class Placement:
             self.chunk(k)
         for entry in self.manifest["pages"]:
             _read(self.folder, entry)
-        return 2 + len(self.manifest["chunks"]) + len(self.manifest["pages"])
+        files = 2 + len(self.manifest["chunks"]) + len(self.manifest["pages"])
+        if self.manifest.get("geometry") is None:
+            return files
+        geometry = self.geometry()
+        for k in range(len(geometry["pages"])):
+            self.geometry_page(k)
+        for entry in geometry["textures"]:
+            _read(self.folder, entry)
+        return files + 1 + len(geometry["pages"]) + len(geometry["textures"])
+
+    def geometry(self) -> dict[str, Any]:
+        """Return the manifest's `geometry` with "columns", those of its index, verified. Only where there is one."""
+        entry = self.manifest["geometry"]
+        kind, columns, _ = _columns(self.folder, entry["index"])
+        wrong = "it is not an index of geometry" if kind != layout.GEOMETRY_INDEX_KIND else None
+        if fault := wrong or geometry_fault(columns, self.manifest, self.index):
+            raise ColumnsAltered(entry["index"]["file"], fault)
+        return {**entry, "columns": columns}
+
+    def geometry_page(self, k: int) -> dict[str, np.ndarray]:
+        """Return the columns of page `k` of the geometry, verified."""
+        entry = self.manifest["geometry"]["pages"][k]
+        kind, columns, meta = _columns(self.folder, entry)
+        wrong = (
+            f"it is not page {k} of the geometry"
+            if kind != layout.GEOMETRY_PAGE_KIND or meta.get("page") != k
+            else None
+        )
+        if fault := wrong or geometry_page_fault(columns):
+            raise ColumnsAltered(entry["file"], fault)
+        return columns
 
 
 class Impostors(Sequence[Impostor]):
@@ -279,6 +316,12 @@ def _layer(columns: dict[str, np.ndarray], r: int, eye: np.ndarray) -> Layer:
     )  # fmt: skip
 
 
+def _columns(folder: Path, entry: dict[str, Any]) -> tuple[str, dict[str, np.ndarray], dict[str, Any]]:
+    """Return (kind, columns, meta) of a listed file; squeezed ones state how long they are when inflated."""
+    content, name = _read(folder, entry), entry["file"]
+    return expand(content, entry["expanded"], where=name) if name.endswith(".ffz") else unpack(content, where=name)
+
+
 def _read(folder: Path, entry: dict[str, Any]) -> bytes:
     """Return the content of a listed file if it has the size and digest that the manifest states."""
     name = entry["file"]
@@ -309,7 +352,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise ColumnsAltered(layout.MANIFEST, "it is not JSON") from error
     if not isinstance(manifest, dict) or manifest.get("format") != layout.FORMAT:
         raise NotColumns(layout.MANIFEST)
-    if isinstance(v := manifest.get("version"), int) and not layout.PLAIN_VERSION <= v <= layout.VERSION:
+    if isinstance(v := manifest.get("version"), int) and not layout.OLDEST_VERSION <= v <= layout.VERSION:
         raise ColumnsTooNew(layout.MANIFEST, v, layout.VERSION)
     stated = _DIGEST.findall(text)
     zeroed = _DIGEST.sub(layout.DIGEST_KEY + b"0" * 64, text)

@@ -10,23 +10,28 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from farfield.bake.model import BakedLayers
-from farfield.columns import pack
+from farfield.detail.model import Levels
 from farfield.geometry.cells import CellTree
 from farfield.geometry.intervals import edges
 from farfield.hierarchy.model import Hierarchy
-from farfield.placement.model import Placement
+from farfield.placement.model import Placement, fresh_of
 from farfield.placement.repair import verdict
 from farfield.placementdb import layout
-from farfield.placementdb.chunks import Chunk, build_chunks, spans
+from farfield.placementdb.base import KeptLayers, base_file
+from farfield.placementdb.chunks import Chunk, build_chunks
+from farfield.placementdb.geometry import build_geometry
 from farfield.placementdb.layers import Pieces, cut_layers, tile_texels
 from farfield.placementdb.pack import pack_blocks
 from farfield.placementdb.pages import build_pages
+from farfield.placementdb.squeeze import squeeze
+from farfield.placementdb.table import LayerTable, joined, spans, table_of, take
 from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import Settings, to_mapping
@@ -37,21 +42,41 @@ from farfield.visibility.model import VisibleSets
 def build_files(
     scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, visible: VisibleSets, views: ProblemViews,
     placement: Placement, baked: BakedLayers, *, settings: Settings, digests: Mapping[str, str],
-    lighting: Mapping[str, Any] | None = None, threads: int | None = None,
+    levels: Levels | None = None, lighting: Mapping[str, Any] | None = None, threads: int | None = None,
 ) -> dict[str, bytes]:  # fmt: skip
     """Return the files of `placement/`, relative name -> content, the same bytes for any number of `threads`.
 
-    placement    after `repair`: costs and bytes as measured; its impostors are those of `baked`, row by row
+    All arguments as of `build`.
+    """
+    return build(
+        scene, hierarchy, model, cells, visible, views, placement, baked, settings=settings, digests=digests,
+        levels=levels, lighting=lighting, threads=threads,
+    )[0]  # fmt: skip
+
+
+def build(
+    scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, visible: VisibleSets, views: ProblemViews,
+    placement: Placement, baked: BakedLayers, *, settings: Settings, digests: Mapping[str, str],
+    levels: Levels | None = None, lighting: Mapping[str, Any] | None = None, threads: int | None = None,
+    kept: KeptLayers | None = None,
+) -> tuple[dict[str, bytes], bytes]:  # fmt: skip
+    """Return the files of `placement/`, and the file by which another placement starts from this one.
+
+    placement    after `repair`: costs and bytes as measured; its impostors are those of `baked`, row by row, but for
+                 those of a base
     digests      name -> SHA-256 (hex) of what went in; "scene.glb", where given, is stated as the viewer's level
+    levels       of detail of the scene's meshes: the level is written in pages, too; None: it is in scene.glb only
     lighting     how geometry and impostors are shaded alike, JSON values; None: as the bake shades
     threads      that encode pages; None: as many as this process may use
+    kept         the layers and pages of the impostors that the placement took from a base
     """
-    assert len(placement.cluster) == len(baked.eye), "placement and bake disagree on the impostors"
+    fresh = fresh_of(placement)
+    assert len(fresh) == len(baked.eye), "placement and bake disagree on the impostors"
     assert len(placement.serve_row) == len(views.cell) + 1
     shown = np.zeros(len(placement.cluster), dtype=bool)
     shown[placement.serve] = True
-    pieces = cut_layers(baked, shown)
-    block_page, block_at = pack_blocks(pieces.block_rect[:, 2:], _block_order(views, placement, pieces))
+    pieces = cut_layers(baked, shown[fresh])
+    block_page, block_at = pack_blocks(pieces.block_rect[:, 2:], _block_order(views, placement, fresh, pieces))
     if lighting is None:  # late: a caller who says how it is lit needs no renderer
         from farfield.bake.shade import LIGHTING
 
@@ -60,7 +85,9 @@ def build_files(
     pages = build_pages(
         _page_blocks(baked, pieces, block_page, block_at), page_format=settings.bake.page_format, threads=threads
     )
-    chunks = build_chunks(cells, visible, views, placement, baked, pieces, block_page=block_page, block_at=block_at)
+    pages = [*(kept.pages if kept is not None else ()), *pages]
+    table = _table(placement, table_of(baked, pieces, block_page, block_at), kept)
+    chunks = build_chunks(cells, visible, views, placement, table)
 
     files: dict[str, bytes] = {}
 
@@ -70,40 +97,59 @@ def build_files(
         assert files.setdefault(name, content) == content, f"two files want the name {name}"
         return {"file": name, "bytes": len(content), "sha256": digest}
 
-    index = _index(scene, hierarchy, model, cells, views, placement, pieces, chunks)
-    table = {**layout.INDEX, **layout.DETAIL} if len(model.level_row) else layout.INDEX
-    index_entry = add("index-", pack(layout.INDEX_KIND, layout.cast(index, table)), ".ffc")
+    def add_columns(
+        folder: str, kind: str, columns: Mapping[str, np.ndarray], meta: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        content, expanded = squeeze(kind, columns, meta)
+        return add(folder, content, ".ffz") | {"expanded": expanded}
+
+    index = _index(scene, hierarchy, model, cells, views, placement, table, chunks)
+    names = {**layout.INDEX, **layout.DETAIL} if len(model.level_row) else layout.INDEX
+    index_entry = add_columns("index-", layout.INDEX_KIND, layout.cast(index, names))
     chunk_entries = []
     for i, chunk in enumerate(chunks):
         meta = {"chunk": i, "cells": list(chunk.cells), "views": list(chunk.views)}
-        entry = add("chunks/", pack(layout.CHUNK_KIND, chunk.columns, meta), ".ffc")
+        entry = add_columns("chunks/", layout.CHUNK_KIND, chunk.columns, meta)
         box = (cells.box[chunk.node] + scene.origin_m).tolist()
         used = np.unique(chunk.columns["layer_page"]).tolist()
         chunk_entries.append(
             entry | {k: meta[k] for k in ("cells", "views")} | {"node": chunk.node, "box": box, "pages": used}
         )
-    impostor_of = np.repeat(np.arange(len(baked.eye)), np.diff(pieces.row))
-    users = np.unique(np.stack([block_page[pieces.block], impostor_of], axis=-1), axis=0)[:, 0]
+    impostor_of = np.repeat(np.arange(len(table.eye)), np.diff(table.layer_row))
+    users = np.unique(np.stack([table.page, impostor_of], axis=-1), axis=0)[:, 0]
     page_entries = [
         add("pages/", page, layout.SUFFIX[settings.bake.page_format]) | {"impostors": int((users == k).sum())}
         for k, page in enumerate(pages)
     ]
     listed = [index_entry, *chunk_entries, *page_entries]
-    counts = _counts(scene, hierarchy, cells, views, placement, pieces)
+    geometry = None
+    if levels is not None:
+        cut = build_geometry(scene, levels)
+        geometry = {
+            "index": add_columns("geometry/", layout.GEOMETRY_INDEX_KIND, cut.index),
+            "pages": [add_columns("geometry/", layout.GEOMETRY_PAGE_KIND, page.columns, {"page": i}) | {"memory": page.memory}
+                      for i, page in enumerate(cut.pages)],
+            "textures": [add("textures/", t.content, t.suffix) | {"width": t.width, "height": t.height} for t in cut.textures],
+            "notice": scene.notice,
+        }  # fmt: skip
+    counts = _counts(scene, hierarchy, cells, views, placement, table)
     manifest = _manifest(scene, model, visible, views, placement, settings) | {
         "counts": counts | {"chunks": len(chunks), "pages": len(pages)},
         "index": index_entry, "chunks": chunk_entries, "pages": page_entries,
         "file_bytes": sum(entry["bytes"] for entry in listed),
         "video_bytes": len(pages) * layout.PAGE_WIDTH * layout.PAGE_HEIGHT * 4,
-        "lighting": dict(lighting),
+        "lighting": dict(lighting), "geometry": geometry,
         "scene": {"file": "scene.glb", "sha256": digests["scene.glb"]} if "scene.glb" in digests else None,
         "provenance": {
-            "settings": to_mapping(settings), "software": {"farfield": version("farfield"), "renderer": baked.renderer},
+            "settings": to_mapping(settings), "software": {"farfield": version("farfield"), "renderer": _renderer(baked, kept)},
             "inputs": dict(digests),
         },
     }  # fmt: skip
     files[layout.MANIFEST] = sealed(manifest)
-    return files
+    base = base_file(
+        scene, hierarchy, cells, views, placement, table, manifest=json.loads(files[layout.MANIFEST])
+    )  # fmt: skip
+    return files, base
 
 
 def sealed(manifest: Mapping[str, Any]) -> bytes:
@@ -115,13 +161,30 @@ def sealed(manifest: Mapping[str, Any]) -> bytes:
     return text.replace(layout.DIGEST_KEY + b"0" * 64, layout.DIGEST_KEY + digest)
 
 
-def _block_order(views: ProblemViews, placement: Placement, pieces: Pieces) -> np.ndarray:
-    """Return the blocks in the order of the first, then the last cell in which an impostor with them is shown."""
+def _table(placement: Placement, laid_out: LayerTable, kept: KeptLayers | None) -> LayerTable:
+    """Return the table of all impostors; `laid_out` is that of the fresh ones, its pages numbered from 0."""
+    if kept is None:
+        return laid_out
+    old = placement.base >= 0
+    all = joined(kept.table, replace(laid_out, page=laid_out.page + np.int32(len(kept.pages))))
+    return take(all, np.where(old, np.cumsum(old), old.sum() + np.cumsum(~old)) - 1)
+
+
+def _renderer(baked: BakedLayers, kept: KeptLayers | None) -> str:
+    names = [*(kept.renderer.split(" + ") if kept is not None else ()), *baked.renderer.split(" + ")]
+    return " + ".join(dict.fromkeys(name for name in names if name))
+
+
+def _block_order(views: ProblemViews, placement: Placement, fresh: np.ndarray, pieces: Pieces) -> np.ndarray:
+    """Return the blocks in the order of the first, then the last cell in which an impostor with them is shown.
+
+    fresh  (F,) the impostors of `pieces`
+    """
     n, cell = len(placement.cluster), np.repeat(views.cell, np.diff(placement.serve_row))
     first, last = np.full(n, np.iinfo(np.int32).max), np.full(n, -1)
     np.minimum.at(first, placement.serve, cell)
     np.maximum.at(last, placement.serve, cell)
-    impostors = np.lexsort((np.arange(n), last, first))
+    impostors = np.lexsort((fresh, last[fresh], first[fresh]))
     _, rows = spans(pieces.row, impostors)
     blocks, at = np.unique(pieces.block[rows], return_index=True)
     return blocks[np.argsort(at)]
@@ -140,14 +203,14 @@ def _page_blocks(
 
 def _index(
     scene: Scene, hierarchy: Hierarchy, model: CostModel, cells: CellTree, views: ProblemViews, placement: Placement,
-    pieces: Pieces, chunks: Sequence[Chunk],
+    table: LayerTable, chunks: Sequence[Chunk],
 ) -> dict[str, np.ndarray]:  # fmt: skip
     n = len(placement.cluster)
     first_chunk = np.full(n, -1)
     for k in reversed(range(len(chunks))):
         first_chunk[chunks[k].columns["impostor_id"]] = k
-    corners = np.concatenate([[0], np.cumsum(np.diff(pieces.corner_row) - 2)])
-    triangles = corners[pieces.row[1:]] - corners[pieces.row[:-1]]
+    corners = np.concatenate([[0], np.cumsum(np.diff(table.corner_row) - 2)])
+    triangles = corners[table.layer_row[1:]] - corners[table.layer_row[:-1]]
     return {
         "node_axis": cells.axis, "node_plane": cells.plane, "node_low": cells.low, "node_high": cells.high,
         "node_parent": cells.parent, "node_box": cells.box, "node_start": cells.start, "node_stop": cells.stop,
@@ -158,7 +221,7 @@ def _index(
         "cluster_box": hierarchy.box, "impostor_cluster": placement.cluster, "impostor_kind": placement.kind,
         "impostor_view_cell": placement.view_cell, "impostor_bytes": placement.bytes,
         "impostor_cost": placement.cost, "impostor_triangles": triangles,
-        "impostor_layers": np.diff(pieces.row), "impostor_chunk": first_chunk,
+        "impostor_layers": np.diff(table.layer_row), "impostor_chunk": first_chunk,
     } | ({
         "level_row": model.level_row, "level_from": model.level_from, "level_cost": model.level_fixed,
         "level_triangles": model.level_triangles,
@@ -166,20 +229,14 @@ def _index(
 
 
 def _counts(
-    scene: Scene, hierarchy: Hierarchy, cells: CellTree, views: ProblemViews, placement: Placement, pieces: Pieces
+    scene: Scene, hierarchy: Hierarchy, cells: CellTree, views: ProblemViews, placement: Placement, table: LayerTable
 ) -> dict[str, int]:
     return {
         "objects": scene.n_objects, "triangles": int(scene.object_triangles.sum()), "clusters": len(hierarchy.start),
         "nodes": len(cells.axis), "cells": cells.n_cells, "problem_views": len(views.cell),
         "hopeless_views": int(placement.hopeless.sum()), "impostors": len(placement.cluster),
-        "layers": len(pieces.layer),
+        "layers": len(table.page),
     }  # fmt: skip
-
-
-def _version(model: CostModel, settings: Settings) -> int:
-    if settings.bake.page_format != "webp":
-        return layout.FORMATS_VERSION
-    return layout.DETAIL_VERSION if len(model.level_row) else layout.PLAIN_VERSION
 
 
 def _manifest(
@@ -189,7 +246,7 @@ def _manifest(
     low, high = scene.object_box[:, 0], scene.object_box[:, 1]
     prices = ("call", "triangle", "pixel", "impostor", "impostor_triangle", "impostor_pixel")
     return {
-        "format": layout.FORMAT, "version": _version(model, settings),
+        "format": layout.FORMAT, "version": layout.VERSION,
         "units": {"length": "m", "angle": "deg", "cost": model.unit, "texture": "texel"},
         "origin_m": origin.tolist(), "view_space": (scene.view_boxes + origin).tolist(),
         "camera": {"fov_deg": model.fov_deg, "width": model.width, "height": model.height},

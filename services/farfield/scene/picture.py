@@ -32,7 +32,7 @@ def picture_from_above(scene: Scene) -> bytes | None:
     sides = [max(1, math.ceil(float(high[axis] - low[axis]) * scale / OVERSAMPLED)) * OVERSAMPLED for axis in (2, 0)]
     height = np.full(sides, -np.inf)
     image = np.broadcast_to(_BACKGROUND, (*sides, 3)).copy()
-    colors = _triangle_colors(scene)
+    colors = triangle_colors(scene)
     left = MOST_LOOKED
     for o in range(scene.n_objects):
         first, last = scene.mesh_primitive[scene.object_mesh[o]], scene.mesh_primitive[scene.object_mesh[o] + 1]
@@ -46,11 +46,11 @@ def picture_from_above(scene: Scene) -> bytes | None:
         left -= looked
     small = image.reshape(sides[0] // OVERSAMPLED, OVERSAMPLED, sides[1] // OVERSAMPLED, OVERSAMPLED, 3).mean((1, 3))
     out = io.BytesIO()
-    Image.fromarray(_srgb_bytes(small)).save(out, "PNG", optimize=True)
+    Image.fromarray(srgb_bytes(small)).save(out, "PNG", optimize=True)
     return out.getvalue()
 
 
-def _triangle_colors(scene: Scene) -> np.ndarray:
+def triangle_colors(scene: Scene) -> np.ndarray:
     """(T,3) f32 linear: base colour, the texture in the triangle's middle, the mean of the corners' colours, multiplied."""
     of_triangle = np.repeat(scene.primitive_material, np.diff(scene.primitive_triangle))
     color, uv = _middles(scene, scene.color[:, :3]), _middles(scene, scene.uv)
@@ -79,7 +79,7 @@ def _middles(scene: Scene, column: np.ndarray) -> np.ndarray:
     return np.asarray(total / 3.0)
 
 
-def _srgb_bytes(linear: np.ndarray) -> np.ndarray:
+def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     value = np.clip(linear, 0.0, 1.0)
     curved = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.rint(255.0 * curved).astype(np.uint8)

@@ -1,6 +1,7 @@
 """Stages 10 to 12: the placement's files, and what was tried against them."""
 
 import hashlib
+import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,25 +9,30 @@ from typing import Any
 
 from farfield.columns import Parts, files_parts, pack_parts, unpack, unpack_files
 from farfield.stages import Stage
+from farfield.steps.impostors import open_base
 from farfield.steps.model import Inputs, Shard, cells_of
 
 # 10 placementdb -----------------------------------------------------------------------------------------------------
 
 
 def placementdb(inputs: Inputs, shard: Shard) -> Parts:
-    from farfield.placementdb.write import build_files
+    from farfield.placementdb.base import NAME
+    from farfield.placementdb.write import build
     from farfield.scene.write import write_glb
 
     scene = inputs.get(Stage.SCENE)
     glb = write_glb(scene, inputs.get(Stage.DETAIL).of_meshes())
     digests = {str(stage): inputs.digests[stage] for stage in (Stage.SCENE, Stage.HIERARCHY, Stage.BAKE, Stage.REPAIR)}
     digests["scene.glb"] = hashlib.sha256(glb).hexdigest()
-    files = build_files(
+    placement = inputs.get(Stage.REPAIR)
+    kept = open_base(inputs).layers_of(placement.base[placement.base >= 0]) if len(placement.base) else None
+    files, base = build(
         scene, inputs.get(Stage.HIERARCHY), inputs.get(Stage.RENDERTIME), cells_of(inputs),
-        inputs.get(Stage.VISIBILITY), inputs.get(Stage.VIEWSPACE), inputs.get(Stage.REPAIR), inputs.get(Stage.BAKE),
-        settings=inputs.settings, digests=digests,
+        inputs.get(Stage.VISIBILITY), inputs.get(Stage.VIEWSPACE), placement, inputs.get(Stage.BAKE),
+        settings=inputs.settings, digests=digests, levels=inputs.get(Stage.DETAIL), kept=kept,
     )  # fmt: skip
-    return files_parts({"scene.glb": glb, **{f"placement/{name}": content for name, content in files.items()}})
+    below = {f"placement/{name}": content for name, content in files.items()}
+    return files_parts({"scene.glb": glb, NAME: base, **below})
 
 
 # 11 evaluation ------------------------------------------------------------------------------------------------------
@@ -64,10 +70,12 @@ def proof_skip(inputs: Inputs) -> str | None:
 
 
 def _shown_impostors(inputs: Inputs) -> int:
-    for name, content in unpack_files(inputs.artifacts[Stage.PLACEMENTDB], where="artifact of stage placementdb"):
-        if name.startswith("placement/index-"):
-            return int((unpack(content)[1]["impostor_chunk"] >= 0).sum())
-    return 0
+    from farfield.placementdb.squeeze import expand
+
+    files = dict(unpack_files(inputs.artifacts[Stage.PLACEMENTDB], where="artifact of stage placementdb"))
+    entry = json.loads(bytes(files["placement/manifest.json"]))["index"]
+    columns = expand(bytes(files[f"placement/{entry['file']}"]), entry["expanded"], where=entry["file"])[1]
+    return int((columns["impostor_chunk"] >= 0).sum())
 
 
 def proof_plan(inputs: Inputs) -> list[Shard]:
@@ -94,7 +102,7 @@ def proof_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
 
 
 def write_files(buffer: Any, folder: Path) -> None:
-    """Write the files of a stage `placementdb` artifact below `folder`: scene.glb and placement/..."""
+    """Write the files of a stage `placementdb` artifact below `folder`: scene.glb, base.ffc and placement/..."""
     for name, content in unpack_files(buffer, where="artifact of stage placementdb"):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

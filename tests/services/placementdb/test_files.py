@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from farfield.columns import pack, unpack
 from farfield.errors import ColumnsAltered, ColumnsTooNew, ColumnsTruncated, PlacementFileError, PlacementFileMissing
 from farfield.placementdb.layout import MANIFEST
 from farfield.placementdb.read import Placement
+from farfield.placementdb.squeeze import expand, squeeze
 from farfield.placementdb.write import build_files, sealed
 from placements import made_up
 
@@ -112,8 +112,8 @@ def reseal(tree: Path, change: dict[str, Any]) -> None:
 
 
 def test_a_newer_format_is_refused_as_newer(tree: Path) -> None:
-    reseal(tree, {"version": 6})
-    with pytest.raises(ColumnsTooNew, match=r"manifest\.json has format version 6"):
+    reseal(tree, {"version": 7})
+    with pytest.raises(ColumnsTooNew, match=r"manifest\.json has format version 7"):
         Placement.open(tree)
 
 
@@ -133,8 +133,8 @@ def forge(tree: Path, key: str, columns: dict[str, np.ndarray]) -> None:
     """Replace columns of the index or the first chunk, with right digests: what only the structure checks can see."""
     manifest = json.loads((tree / MANIFEST).read_text())
     entry = manifest["index"] if key == "index" else manifest["chunks"][0]
-    kind, old, meta = unpack((tree / entry["file"]).read_bytes())
-    content = pack(kind, old | columns, meta)
+    kind, old, meta = expand((tree / entry["file"]).read_bytes(), entry["expanded"])
+    content, entry["expanded"] = squeeze(kind, old | columns, meta)
     digest = hashlib.sha256(content).hexdigest()
     name = re.sub(r"[0-9a-f]{16}\.", digest[:16] + ".", entry["file"])
     (tree / name).write_bytes(content)
@@ -150,7 +150,7 @@ def test_forged_columns_never_lead_to_more_than_a_refusal(tree: Path) -> None:
     low, high = np.array(original["view_space"][0])
     refused = 0
     for key, entry in (("index", original["index"]), ("chunk", original["chunks"][0])):
-        _, columns, _ = unpack((tree / entry["file"]).read_bytes())
+        _, columns, _ = expand((tree / entry["file"]).read_bytes(), entry["expanded"])
         for name, column in columns.items():
             if column.dtype.kind == "f" or not column.size:
                 continue

@@ -97,7 +97,7 @@ def test_a_placement_states_its_format(tmp_path, page_format):
             (tmp_path / folder / name).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / folder / name).write_bytes(data)
     a, b = Placement.open(tmp_path / "a"), Placement.open(tmp_path / "b")
-    assert (a.manifest["version"], b.manifest["version"]) == (3, 5)
+    assert (a.manifest["version"], b.manifest["version"]) == (6, 6)
     assert b.manifest["page"]["format"] == page_format
     assert "format" not in a.manifest["page"]
     assert [entry["file"].split(".")[1] for entry in b.manifest["pages"]] == [page_format] * len(a.manifest["pages"])

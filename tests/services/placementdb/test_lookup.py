@@ -96,7 +96,7 @@ def test_a_placement_without_problem_views_is_valid_and_empty(tmp_path: Path) ->
     made = made_up(share=0.0, n_impostors=0)
     files = build_files(**made)
     placement = Placement.open(save(files, tmp_path))
-    assert placement.check() == 2 == len(files)
+    assert placement.check() == 4 == len(files)  # manifest and index; index and page of the geometry
     assert placement.manifest["verdict"] == "valid"
     assert placement.manifest["counts"]["impostors"] == 0 == len(placement.impostors)
     v = placement.lookup(placement.origin_m + np.array([0, 2, 0]), [1, 0, 0])

@@ -1,5 +1,5 @@
 /** A chunk, kind `PlacementChunk`: what the cells of one subtree of the view space show (format section 4). */
-import { ColumnReader, unpack } from "./columns";
+import { ColumnReader, type Container } from "./columns";
 import { ColumnsAltered } from "./errors";
 import type { Manifest } from "./manifest";
 
@@ -34,8 +34,7 @@ export interface PlacementChunk {
   cornerUv: Float32Array; // texels of level 0
 }
 
-export function readChunk(bytes: Uint8Array, where: string, manifest: Manifest, number: number): PlacementChunk {
-  const container = unpack(bytes, where);
+export function readChunk(container: Container, where: string, manifest: Manifest, number: number): PlacementChunk {
   if (container.kind !== "PlacementChunk") throw new ColumnsAltered(where, `it holds ${container.kind}, not PlacementChunk`);
   const entry = manifest.chunks[number];
   const { meta } = container;

@@ -115,6 +115,9 @@ export class ColumnReader {
   i4(name: string, ...shape: (number | null)[]): Int32Array {
     return this.take(name, "<i4", shape) as Int32Array;
   }
+  u4(name: string, ...shape: (number | null)[]): Uint32Array {
+    return this.take(name, "<u4", shape) as Uint32Array;
+  }
   f4(name: string, ...shape: (number | null)[]): Float32Array {
     return this.take(name, "<f4", shape) as Float32Array;
   }

@@ -1,5 +1,5 @@
 /** The index, kind `PlacementIndex`: cells, objects, clusters, impostor summaries (format section 3). */
-import { ColumnReader, unpack } from "./columns";
+import { ColumnReader, type Container } from "./columns";
 import { ColumnsAltered } from "./errors";
 import { DETAIL_VERSION, type Manifest } from "./manifest";
 
@@ -37,8 +37,7 @@ export interface PlacementIndex {
   levelTriangles: Int32Array;
 }
 
-export function readIndex(bytes: Uint8Array, where: string, manifest: Manifest): PlacementIndex {
-  const container = unpack(bytes, where);
+export function readIndex(container: Container, where: string, manifest: Manifest): PlacementIndex {
   if (container.kind !== "PlacementIndex") throw new ColumnsAltered(where, `it holds ${container.kind}, not PlacementIndex`);
   const r = new ColumnReader(container, where);
   const { nodes: K, cells: L, objects: N, clusters: C, impostors: I } = manifest.counts;

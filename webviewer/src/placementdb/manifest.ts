@@ -2,7 +2,7 @@
 import { ColumnsAltered, ColumnsTooNew, ColumnsTruncated, NotColumns } from "./errors";
 import { sha256 } from "./sha256";
 
-export const MANIFEST_VERSION = 5;
+export const MANIFEST_VERSION = 6; // index and chunks squeezed, the level in pages
 export const DETAIL_VERSION = 4; // with levels of detail; 5: with pages other than WebP, with levels or without
 export const PLAIN_VERSION = 3; // without levels of detail. Older ones are refused: their alpha held no coverage
 
@@ -12,6 +12,14 @@ export interface FileEntry {
   file: string;
   bytes: number;
   sha256: string;
+  expanded?: number; // bytes when inflated: of squeezed files
+}
+/** The level in pages; `memory` is what a page takes in video memory. */
+export interface GeometryEntry {
+  index: FileEntry;
+  pages: (FileEntry & { memory: number })[];
+  textures: (FileEntry & { width: number; height: number })[];
+  notice?: string;
 }
 export interface ChunkEntry extends FileEntry {
   node: number;
@@ -66,6 +74,7 @@ export interface Manifest {
   index: FileEntry;
   chunks: ChunkEntry[];
   pages: PageEntry[];
+  geometry?: GeometryEntry | null; // null: the level is in scene.glb only
   scene: { file: string; sha256: string; notice?: string } | null;
   provenance: { settings?: Record<string, unknown>; software?: Record<string, unknown>; inputs?: Record<string, unknown> };
   notice?: string;
@@ -109,7 +118,7 @@ function findFault(m: Manifest): string | null {
   const box = (b: unknown): boolean => Array.isArray(b) && b.length === 2 && numbers(b[0], 3) && numbers(b[1], 3);
   const count = (n: unknown): boolean => typeof n === "number" && Number.isSafeInteger(n) && n >= 0;
   const file = (f: FileEntry): boolean =>
-    typeof f?.file === "string" && /^[\w.-]+(\/[\w.-]+)*$/.test(f.file) && !f.file.includes("..") && count(f.bytes) && /^[0-9a-f]{64}$/.test(f.sha256);
+    typeof f?.file === "string" && /^[\w.-]+(\/[\w.-]+)*$/.test(f.file) && !f.file.includes("..") && count(f.bytes) && (!f.file.endsWith(".ffz") || count(f.expanded)) && /^[0-9a-f]{64}$/.test(f.sha256);
   const edges = m.interval_edges;
   if (!numbers(m.origin_m, 3)) return "origin_m is not a point";
   if (!Array.isArray(m.view_space) || !m.view_space.length || !m.view_space.every(box)) return "view_space is not a list of boxes";
@@ -128,6 +137,11 @@ function findFault(m: Manifest): string | null {
   if (m.chunks.some((c, i) => i > 0 && c.cells[0] < m.chunks[i - 1].cells[1])) return "chunks overlap";
   if (m.counts.pages !== m.pages.length || m.counts.chunks !== m.chunks.length) return "counts are not those of its lists";
   if (!m.page || !Array.isArray(m.page.levels) || !m.page.levels.every((l) => count(l.x) && count(l.y) && count(l.size))) return "page is not readable";
+  const g = m.geometry;
+  const listed = (a: unknown, fits: (f: any) => boolean): boolean => Array.isArray(a) && a.every((f) => file(f) && fits(f));
+  if (g && !(file(g.index) && listed(g.pages, (f) => count(f.memory)) && listed(g.textures, (f) => f.width > 0 && f.height > 0))) {
+    return "geometry is not readable";
+  }
   const format = m.page.format ?? "webp";
   if (!["webp", "png", "ktx2"].includes(format) || !m.pages.every((p) => p.file.endsWith(`.${format}`))) return "pages are not of the stated format";
   return null;

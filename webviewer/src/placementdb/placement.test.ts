@@ -1,10 +1,12 @@
 /** The same golden trees and answers as tests/services/placementdb: both readers agree, or one of them is wrong. */
 import { existsSync, readFileSync } from "node:fs";
 import { join, resolve } from "node:path";
+import { inflateSync } from "node:zlib";
 import { describe, expect, it } from "vitest";
 import { unpack } from "./columns";
 import { Placement, viewsServed, type FetchBytes } from "./placement";
 import { sha256, sha256Plain } from "./sha256";
+import { unpackFile } from "./squeeze";
 
 const GOLDEN = resolve(import.meta.dirname, "../../../tests/golden");
 const TREES = ["placementdb", "placementdb-visible", "placementdb-detail", "placementdb-ktx2"];
@@ -67,6 +69,22 @@ describe.each(TREES)("%s", (tree) => {
     }
   });
 
+  it("puts squeezed columns together as Python does", async () => {
+    const manifest = JSON.parse(readFileSync(join(GOLDEN, tree, "manifest.json"), "utf8"));
+    const g = manifest.geometry;
+    const entries = [manifest.index, ...manifest.chunks, ...(g ? [g.index, ...g.pages] : [])];
+    expect(entries.map((e) => e.file).sort()).toEqual(Object.keys(golden.columns).sort());
+    for (const { file, expanded } of entries) {
+      const bytes = new Uint8Array(readFileSync(join(GOLDEN, tree, file)));
+      const { columns } = await unpackFile(bytes, file, expanded);
+      const found: Record<string, string> = {};
+      for (const [name, { data }] of columns) found[name] = await sha256(new Uint8Array(data.buffer, data.byteOffset, data.byteLength));
+      expect(found).toEqual(golden.columns[file]);
+      await expect(unpackFile(bytes, file, expanded - 1)).rejects.toMatchObject({ code: "ColumnsAltered" });
+      await expect(unpackFile(bytes, file, expanded + 1)).rejects.toMatchObject({ code: "ColumnsTruncated" });
+    }
+  });
+
   it("checks whole", async () => {
     await (await Placement.open(reads(tree))).check();
   });
@@ -74,7 +92,9 @@ describe.each(TREES)("%s", (tree) => {
   it("refuses every altered, truncated or missing file and names it", async () => {
     const names = ["manifest.json"];
     const manifest = JSON.parse(readFileSync(join(GOLDEN, tree, "manifest.json"), "utf8"));
-    for (const entry of [manifest.index, ...manifest.chunks, ...manifest.pages]) names.push(entry.file);
+    const g = manifest.geometry;
+    const level = g ? [g.index, ...g.pages, ...g.textures] : [];
+    for (const entry of [manifest.index, ...manifest.chunks, ...manifest.pages, ...level]) names.push(entry.file);
     const open = async (change: Change): Promise<void> => (await Placement.open(reads(tree, change))).check();
     for (const name of names) {
       const only = (f: (b: Uint8Array) => Uint8Array | null): Change => (n, b) => (n === name ? f(b) : b);
@@ -100,7 +120,7 @@ describe.each(TREES)("%s", (tree) => {
       return Placement.open(reads(tree, (n, b) => (n === "manifest.json" ? changed : b)));
     };
     await open(() => {});
-    await expect(open((m) => (m.version = 6))).rejects.toMatchObject({ code: "ColumnsTooNew", message: expect.stringContaining("version 6") });
+    await expect(open((m) => (m.version = 7))).rejects.toMatchObject({ code: "ColumnsTooNew", message: expect.stringContaining("version 7") });
     await expect(open((m) => (m.format = "other"))).rejects.toMatchObject({ code: "NotColumns" });
     await expect(open((m) => (m.index.file = "../secret"))).rejects.toMatchObject({ code: "ColumnsAltered" });
     await expect(open((m) => (m.chunks[0].cells = [5, 1e9]))).rejects.toMatchObject({ code: "ColumnsAltered" });
@@ -111,7 +131,7 @@ describe.each(TREES)("%s", (tree) => {
 
 describe("the container", () => {
   const manifest = JSON.parse(readFileSync(join(GOLDEN, TREES[0], "manifest.json"), "utf8"));
-  const bytes = new Uint8Array(readFileSync(join(GOLDEN, TREES[0], manifest.index.file)));
+  const bytes = new Uint8Array(inflateSync(readFileSync(join(GOLDEN, TREES[0], manifest.index.file))));
   it("refuses every truncation with its own name, and a newer version", () => {
     for (let n = 0; n < bytes.length; n += 97) {
       expect(() => unpack(bytes.slice(0, n), "x")).toThrow(n < 16 ? /not a farfield file/ : /truncated/);

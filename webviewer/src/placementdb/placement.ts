@@ -7,10 +7,13 @@ import { findCell } from "../select/cells";
 import { findInterval } from "../select/intervals";
 import { setLevels } from "../select/levels";
 import { readChunk, type PlacementChunk } from "./chunk";
+import type { Container } from "./columns";
 import { ColumnsAltered, ColumnsTruncated, DirectionInvalid, OutsideViewSpace, PlacementFileMissing } from "./errors";
+import { readGeometryIndex, readGeometryPage, type GeometryIndex, type GeometryPage } from "./geometry";
 import { readIndex, type PlacementIndex } from "./index_file";
 import { readManifest, type FileEntry, type Manifest } from "./manifest";
 import { sha256 } from "./sha256";
+import { unpackFile } from "./squeeze";
 
 /** Resolves to null where the file does not exist; `name` is relative to the placement. */
 export type FetchBytes = (name: string, signal?: AbortSignal) => Promise<Uint8Array | null>;
@@ -43,8 +46,7 @@ export class Placement {
     const bytes = await fetchBytes("manifest.json");
     if (!bytes) throw new PlacementFileMissing("manifest.json");
     const manifest = await readManifest(bytes, "manifest.json");
-    const indexBytes = await fetchChecked(fetchBytes, manifest.index);
-    return new Placement(manifest, readIndex(indexBytes, manifest.index.file, manifest), fetchBytes);
+    return new Placement(manifest, readIndex(await fetchContainer(fetchBytes, manifest.index), manifest.index.file, manifest), fetchBytes);
   }
 
   /** Bytes of a page file (WebP), checked. */
@@ -57,7 +59,7 @@ export class Placement {
     const known = this.loaded.get(number);
     if (known) return known;
     const entry = this.manifest.chunks[number];
-    const chunk = readChunk(await fetchChecked(this.fetchBytes, entry, signal), entry.file, this.manifest, number);
+    const chunk = readChunk(await fetchContainer(this.fetchBytes, entry, signal), entry.file, this.manifest, number);
     this.loaded.set(number, chunk);
     return chunk;
   }
@@ -70,10 +72,30 @@ export class Placement {
     this.loaded.delete(number);
   }
 
+  /** Which mesh each object shows, and materials; only where the manifest has `geometry`. */
+  async geometry(): Promise<GeometryIndex> {
+    const entry = this.manifest.geometry!.index;
+    return readGeometryIndex(await fetchContainer(this.fetchBytes, entry), entry.file, this.manifest, this.index);
+  }
+
+  async geometryPage(number: number, signal?: AbortSignal): Promise<GeometryPage> {
+    const entry = this.manifest.geometry!.pages[number];
+    return readGeometryPage(await fetchContainer(this.fetchBytes, entry, signal), entry.file, number);
+  }
+
+  /** Bytes of an image file, checked. */
+  texture(file: number, signal?: AbortSignal): Promise<Uint8Array> {
+    return fetchChecked(this.fetchBytes, this.manifest.geometry!.textures[file], signal);
+  }
+
   /** Checks every file against its size, digest and structure. */
   async check(): Promise<void> {
     for (let k = 0; k < this.manifest.chunks.length; k++) await this.chunk(k);
     for (let p = 0; p < this.manifest.pages.length; p++) await this.page(p);
+    if (!this.manifest.geometry) return;
+    await this.geometry();
+    for (let p = 0; p < this.manifest.geometry.pages.length; p++) await this.geometryPage(p);
+    for (let x = 0; x < this.manifest.geometry.textures.length; x++) await this.texture(x);
   }
 
   /** Format section 6, all steps; fetches the chunk where needed. `OutsideViewSpace`, `DirectionInvalid`. */
@@ -170,6 +192,10 @@ function describe(p: Placement, cell: number, interval: number, chunk: Placement
     levels: objects.map((o) => levels[o]),
     costBound: manifest.cost_model.per_frame + bound,
   };
+}
+
+async function fetchContainer(fetchBytes: FetchBytes, entry: FileEntry, signal?: AbortSignal): Promise<Container> {
+  return unpackFile(await fetchChecked(fetchBytes, entry, signal), entry.file, entry.expanded);
 }
 
 /** Fetches a file and checks size, then digest; throws what the format's section 7 says. */

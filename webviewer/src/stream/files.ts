@@ -11,10 +11,37 @@ export interface Traffic {
   bytes: number; // received in all
   failures: number; // in a row; 0 while the connection works
   retryAtMs: number;
+  fileS: number; // that a file takes, running mean
+  busySinceMs: number; // something is on its way since then
+  inFlight: number;
+  busyMs: number;
+  busyBytes: number; // received in busyMs
 }
 
 export function makeTraffic(): Traffic {
-  return { bytes: 0, failures: 0, retryAtMs: 0 };
+  return { bytes: 0, failures: 0, retryAtMs: 0, fileS: 0.1, busySinceMs: 0, inFlight: 0, busyMs: 0, busyBytes: 0 };
+}
+
+/** Bytes a second that the line carried while it was asked to; 0: not known yet. */
+export function bandwidth(t: Traffic): number {
+  return t.busyMs > 50 ? (1000 * t.busyBytes) / t.busyMs : 0;
+}
+
+function begin(t: Traffic): void {
+  if (t.inFlight++ === 0) t.busySinceMs = performance.now();
+}
+
+function end(t: Traffic, beganMs: number, bytes: number): void {
+  const now = performance.now();
+  t.busyMs += now - t.busySinceMs;
+  t.busySinceMs = now;
+  t.inFlight--;
+  t.busyBytes += bytes;
+  if (t.busyMs > 20000) {
+    t.busyMs /= 2; // what is long ago counts less
+    t.busyBytes /= 2;
+  }
+  if (bytes) t.fileS += 0.2 * ((now - beganMs) / 1000 - t.fileS);
 }
 
 const BACKOFF_MS = [500, 1000, 2000, 4000, 8000];
@@ -24,15 +51,7 @@ const MOST_TRIES_ON_5XX = 6;
 export async function fetchFile(url: string, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void): Promise<Uint8Array | null> {
   for (let attempt = 0; ; attempt++) {
     try {
-      const response = await fetch(url, signal ? { signal, credentials: "same-origin" } : { credentials: "same-origin" });
-      if (response.status === 404) return null;
-      if (response.status === 401 || response.status === 403) throw new AccessDenied();
-      if (!response.ok) {
-        if (response.status < 500 && response.status !== 429) throw new Error(`${url} answered ${response.status}`);
-        if (attempt + 1 >= MOST_TRIES_ON_5XX) throw new AccessFailed(url, response.status);
-        throw new TypeError(`status ${response.status}`);
-      }
-      const bytes = await readBody(response, traffic, onBytes);
+      const bytes = await timed(traffic, () => fetchOnce(url, attempt + 1 >= MOST_TRIES_ON_5XX, traffic, signal, onBytes));
       traffic.failures = 0;
       return bytes;
     } catch (error) {
@@ -42,6 +61,32 @@ export async function fetchFile(url: string, traffic: Traffic, signal?: AbortSig
       traffic.retryAtMs = performance.now() + wait;
       await delay(wait, signal);
     }
+  }
+}
+
+/** Throws a TypeError where it is worth another try. */
+async function fetchOnce(url: string, last: boolean, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void): Promise<Uint8Array | null> {
+  const response = await fetch(url, signal ? { signal, credentials: "same-origin" } : { credentials: "same-origin" });
+  if (response.status === 404) return null;
+  if (response.status === 401 || response.status === 403) throw new AccessDenied();
+  if (!response.ok) {
+    if (response.status < 500 && response.status !== 429) throw new Error(`${url} answered ${response.status}`);
+    if (last) throw new AccessFailed(url, response.status);
+    throw new TypeError(`status ${response.status}`);
+  }
+  return readBody(response, traffic, onBytes);
+}
+
+async function timed(traffic: Traffic, work: () => Promise<Uint8Array | null>): Promise<Uint8Array | null> {
+  const beganMs = performance.now();
+  begin(traffic);
+  let got = 0;
+  try {
+    const bytes = await work();
+    got = bytes?.length ?? 0;
+    return bytes;
+  } finally {
+    end(traffic, beganMs, got);
   }
 }
 

@@ -14,14 +14,14 @@ const open = (): Promise<Placement> =>
 
 describe("the streaming plan", () => {
   const chunk = (x: number, pages: number[], bytes = 10): unknown => ({ box: [[x, 0, 0], [x + 1, 1, 1]], pages, bytes });
-  const manifest = { chunks: [chunk(0, [0, 1]), chunk(2, [2, 1]), chunk(50, [3]), chunk(4, [4, 5])] } as unknown as Manifest;
+  const manifest = { pages: new Array(6), chunks: [chunk(0, [0, 1]), chunk(2, [2, 1]), chunk(50, [3]), chunk(4, [4, 5])] } as unknown as Manifest;
 
   it("takes what is shown first, then this chunk, then chunks by where the camera is going", () => {
     expect(plan(manifest, 0, [1], [5, 0, 0], 99, 1e9)).toEqual({ chunks: [0, 3, 1, 2], pages: [1, 0, 4, 5, 2, 3] });
   });
   it("never wants more pages than there are slots, nor chunks past the cap, but always the current chunk", () => {
     expect(plan(manifest, 2, [3], [0, 0, 0], 2, 15)).toEqual({ chunks: [2], pages: [3] });
-    expect(plan(manifest, 2, [3, 3], [0, 0, 0], 2, 20)).toEqual({ chunks: [2, 0], pages: [3, 0] });
+    expect(plan(manifest, 2, [3, 3], [0, 0, 0], 3, 20)).toEqual({ chunks: [2, 0], pages: [3, 0] });
     expect(plan(manifest, -1, [], [0, 0, 0], 3, 5).chunks).toEqual([0]);
   });
   it("puts the pages of directions near the present one first", async () => {

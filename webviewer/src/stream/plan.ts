@@ -3,14 +3,17 @@ import type { PlacementChunk } from "../placementdb/chunk";
 import type { Box, Manifest } from "../placementdb/manifest";
 import { impostorsOfView } from "../placementdb/placement";
 import { intervalDirection } from "../select/intervals";
+import { PREFETCH_SHARE } from "./level_plan";
 
 export interface Plan {
   chunks: number[]; // best first
   pages: number[]; // best first, at most `slots`
 }
 
-/** Seconds ahead that the camera's motion is followed. */
-export const LOOK_AHEAD_S = 1.5;
+/** Seconds ahead that the camera's motion is followed: what the next cell needs takes some files' time to come. */
+export function lookAheadS(fileS: number): number {
+  return Math.min(8, 0.5 + 4 * fileS);
+}
 
 /**
  * The pages of what is shown now and what is likely next (`nearby`, best first), then the rest of this cell's chunk, then
@@ -23,13 +26,15 @@ export function plan(manifest: Manifest, current: number, nearby: Iterable<numbe
   const chunks: number[] = [];
   let bytes = 0;
   for (const { k } of order) {
-    bytes += manifest.chunks[k].bytes;
+    bytes += manifest.chunks[k].expanded ?? manifest.chunks[k].bytes;
     if (chunks.length && bytes > chunkBytesCap) break;
     chunks.push(k);
   }
   const pages = new Set<number>();
   for (const p of nearby) if (pages.size < slots) pages.add(p);
-  for (const k of chunks) for (const p of manifest.chunks[k].pages) if (pages.size < slots) pages.add(p);
+  // Prefetching leaves some slots to what was shown before, so that turning back fetches nothing again; unless all fit.
+  const prefetched = slots < manifest.pages.length ? Math.floor(PREFETCH_SHARE * slots) : slots;
+  for (const k of chunks) for (const p of manifest.chunks[k].pages) if (pages.size < prefetched) pages.add(p);
   return { chunks, pages: [...pages] };
 }
 

@@ -3,7 +3,7 @@ import { clampToBoxes } from "../select/clamp";
 import { trianglesAt } from "../select/levels";
 import { viewsServed, type Placement } from "../placementdb/placement";
 import type { Vec3 } from "../placementdb/manifest";
-import { LOOK_AHEAD_S } from "../stream/plan";
+import { lookAheadS } from "../stream/plan";
 import type { Traffic } from "../stream/files";
 import { Streamer } from "../stream/streamer";
 import { byId, setShown, setText } from "../ui/dom";
@@ -38,7 +38,7 @@ export type Switches = Partial<Modes & { free: boolean; overlay: boolean; differ
 export class App {
   readonly walker: Walker;
   readonly streamer: Streamer;
-  readonly counts: Counts = { promised: 0, over: 0, overForStreaming: 0 };
+  readonly counts: Counts = { promised: 0, over: 0, overForStreaming: 0, incomplete: 0 };
   readonly walks: Walks;
   readonly difference: Difference;
   private readonly worst: WorstViews;
@@ -46,6 +46,8 @@ export class App {
   private readonly clock: FrameClock;
   private readonly overlay: Overlay;
   private readonly panorama: Panorama;
+  /** When the first image without stand-ins was drawn, ms since the page was opened; 0: not yet. */
+  firstWholeMs = 0;
   private dirty = 2; // frames still to draw
   private lastMs = 0;
   private plannedAt = 0;
@@ -53,7 +55,7 @@ export class App {
   private movedAt = 0;
   private panoramaFor = "";
   private readonly facts: FrameFacts = {
-    calls: 0, triangles: 0, impostors: 0, waiting: 0, cost: 0, geometryCost: 0, cell: -1, problemView: -1, reason: 0,
+    calls: 0, triangles: 0, impostors: 0, waiting: 0, missing: 0, cost: 0, geometryCost: 0, cell: -1, problemView: -1, reason: 0,
   };
 
   constructor(
@@ -64,7 +66,7 @@ export class App {
     id: string,
   ) {
     this.walker = new Walker(placement.manifest.view_space);
-    this.streamer = new Streamer(placement, engine.pages, () => this.touch());
+    this.streamer = new Streamer(placement, engine.pages, () => this.touch(), engine.level, engine.caps.chunks);
     this.clock = new FrameClock(engine.gl);
     this.overlay = new Overlay(engine, this.clock);
     this.panorama = new Panorama(placement);
@@ -170,7 +172,7 @@ export class App {
       this.locate(true);
       const s = this.engine.situation;
       const chunkHere = s.chunk < 0 || this.placement.residentChunk(s.chunk) || this.streamer.damaged.has(this.placement.manifest.chunks[s.chunk].file);
-      if (this.engine.level.ready && chunkHere && s.needed.every((p) => this.streamer.settled(p))) return;
+      if (this.engine.level.ready && chunkHere && s.needed.every((p) => this.streamer.settled(p)) && this.streamer.levelSettled) return;
       await new Promise((resolve) => setTimeout(resolve, 10));
     }
   }
@@ -243,6 +245,8 @@ export class App {
     if (promised) this.counts.promised++;
     if (over) this.counts.over++;
     if (late) this.counts.overForStreaming++;
+    if (engine.standIns.missing || engine.standIns.untextured) this.counts.incomplete++;
+    else if (!this.firstWholeMs && engine.level.ready) this.firstWholeMs = performance.now();
     clock.end(s.cost, s.geometryCost, late);
     if (this.walks.replaying) this.tellWalk(promised);
   }
@@ -254,6 +258,7 @@ export class App {
     f.triangles = drawn.triangles;
     f.impostors = engine.modes.impostors ? situation.shown.length : 0;
     f.waiting = situation.impostors - situation.shown.length;
+    f.missing = engine.standIns.missing;
     f.cost = s.cost;
     f.geometryCost = s.geometryCost;
     f.cell = situation.cell;
@@ -267,8 +272,12 @@ export class App {
     const changed = this.engine.locate(position, this.walker.direction);
     if (changed || replan) {
       this.plannedAt = this.lastMs;
-      const ahead = position.map((x, a) => x + LOOK_AHEAD_S * velocity[a]);
-      this.streamer.update(this.engine.situation.chunk, this.engine.likelyPages(this.walker.direction, ahead), ahead);
+      const seconds = lookAheadS(this.traffic.fileS);
+      const ahead = position.map((x, a) => x + seconds * velocity[a]);
+      const { engine } = this;
+      const parts = engine.wantedParts(position, this.walker.direction, ahead);
+      const likely = engine.likelyPages(this.walker.direction, ahead);
+      this.streamer.update(engine.situation.chunk, likely, ahead, parts, new Set(engine.situation.needed).size);
     }
     return changed;
   }

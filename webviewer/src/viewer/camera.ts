@@ -77,7 +77,7 @@ export class Walker {
       const box = this.standingBox();
       this.height = Math.min(this.height, box[1][1] - box[0][1]);
       this.position[1] = box[0][1] + this.height;
-      clampToBoxes([box], this.position, this.position);
+      for (let a = 0; a < 3; a++) position[a] = Math.min(Math.max(position[a], box[0][a]), box[1][a]);
     }
     velocity[0] = seconds > 0 ? (position[0] - x) / seconds : 0;
     velocity[1] = seconds > 0 ? (position[1] - y) / seconds : 0;
@@ -87,11 +87,18 @@ export class Walker {
   /** The box under the feet: nearest in the ground plane, then in height. Steps between floors are no obstacle. */
   private standingBox(): Box {
     let best = this.boxes[0];
-    let least = [Infinity, Infinity];
-    const gap = (box: Box, a: number): number => Math.max(box[0][a] - this.position[a], this.position[a] - box[1][a], 0);
+    let leastFlat = Infinity;
+    let leastUp = Infinity;
     for (const box of this.boxes) {
-      const key = [gap(box, 0) ** 2 + gap(box, 2) ** 2, gap(box, 1)];
-      if (key[0] < least[0] || (key[0] === least[0] && key[1] < least[1])) [best, least] = [box, key];
+      const x = gap(box, this.position, 0);
+      const z = gap(box, this.position, 2);
+      const flat = x * x + z * z;
+      const up = gap(box, this.position, 1);
+      if (flat < leastFlat || (flat === leastFlat && up < leastUp)) {
+        best = box;
+        leastFlat = flat;
+        leastUp = up;
+      }
     }
     return best;
   }
@@ -107,4 +114,8 @@ export class Walker {
   get inside(): boolean {
     return insideBoxes(this.boxes, this.position);
   }
+}
+
+function gap(box: Box, p: Vec3, axis: number): number {
+  return Math.max(box[0][axis] - p[axis], p[axis] - box[1][axis], 0);
 }

@@ -6,7 +6,8 @@
  */
 import { CellLines } from "../draw/draw_cells";
 import { ImpostorLayers, type DrawStats } from "../draw/draw_impostor_layers";
-import { LevelMesh, readLighting } from "../draw/draw_mesh";
+import { Boxes } from "../draw/draw_boxes";
+import { LevelMesh } from "../draw/draw_mesh";
 import { WireLines } from "../draw/draw_wires";
 import { HEAT, IDS, PICTURE, TINTED, farthest, makeView, setViewProjection, type View } from "../draw/view";
 import { heldWires, impostorWires } from "../draw/wires";
@@ -20,12 +21,14 @@ import { findCell } from "../select/cells";
 import { cameraFrame, makeFrustum, setFrustum } from "../select/frustum";
 import { findInterval } from "../select/intervals";
 import { Selector, type Selection } from "../select/select";
+import { capsOf, type Caps } from "../stream/caps";
+import { LevelPlan, type PartsWanted } from "../stream/level_plan";
 import { ChunkPages } from "../stream/plan";
+import { bytesPerMetre } from "../stream/speed";
 
 /** Linear light of an encoded value, 0 to 1. */
 const decodeSrgb = (x: number): number => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
 
-export const PAGE_BYTES_CAP = 384 * 2 ** 20;
 const NEAR_M = 0.1;
 const BLACK: Modes["background"] = [0, 0, 0];
 const SHAFT_M = 200; // of a shaft without end, as a wire frame
@@ -57,6 +60,13 @@ export interface Situation {
   waiting: boolean; // something of the current view is still on its way
 }
 
+/** How the last frame stood in for geometry that is not here. */
+export interface StandIns {
+  missing: number; // objects drawn at another level of detail, or as boxes
+  boxes: number; // of them
+  untextured: number; // primitives drawn in the mean colour of their texture
+}
+
 export class Engine {
   readonly placement: Placement;
   readonly gl: WebGL2RenderingContext;
@@ -69,6 +79,8 @@ export class Engine {
     cell: -1, interval: -1, chunk: -1, problemView: null, hopeless: false, costBound: 0, impostors: 0, shown: [], needed: [], waiting: true,
   };
   readonly drawn: DrawStats = { calls: 0, triangles: 0 };
+  readonly standIns: StandIns = { missing: 0, boxes: 0, untextured: 0 };
+  levelPlan: LevelPlan | null = null; // where the level is in pages
   /** Rises whenever what a view shows may have changed. */
   version = 0;
   readonly view: View = makeView();
@@ -80,6 +92,8 @@ export class Engine {
   private readonly frustum = makeFrustum();
   private readonly buffers = new Map<PlacementChunk, ChunkBuffers>();
   private readonly chunkPages = new WeakMap<PlacementChunk, ChunkPages>();
+  private readonly boxes: Boxes;
+  private readonly covered: Uint8Array; // by object: impostors of the view show it, once they are here
   private readonly cellLines: CellLines;
   private readonly pickedLines: WireLines;
   private readonly heldLines: WireLines;
@@ -87,21 +101,30 @@ export class Engine {
   private readonly canvas: HTMLCanvasElement;
   private readonly local: Vec3 = [0, 0, 0];
 
-  constructor(canvas: HTMLCanvasElement, gl: WebGL2RenderingContext, placement: Placement) {
+  constructor(canvas: HTMLCanvasElement, gl: WebGL2RenderingContext, placement: Placement, readonly caps: Caps = capsOf(placement.manifest, null)) {
     this.canvas = canvas;
     this.gl = gl;
     this.placement = placement;
     const { manifest, index } = placement;
-    this.level = new LevelMesh(canvas, gl, readLighting(manifest.lighting));
-    this.pages = new PageArray(gl, manifest, PAGE_BYTES_CAP);
+    this.level = new LevelMesh(canvas, gl, manifest);
+    this.pages = new PageArray(gl, manifest, caps.pages);
     this.target = new PictureTarget(gl);
     this.layers = new ImpostorLayers(gl);
+    this.boxes = new Boxes(gl, this.level.lighting);
+    this.covered = new Uint8Array(manifest.counts.objects);
     this.cellLines = new CellLines(gl, index);
     this.pickedLines = new WireLines(gl, this.cellLines.program, [0.58, 0.32, 0, 1]);
     this.heldLines = new WireLines(gl, this.cellLines.program, [0, 0.12, 0.15, 1]);
     this.selector = new Selector(index, manifest);
     this.geometry = new Selector(index, manifest);
     this.selection = this.selector.selection;
+  }
+
+  /** Fetches which mesh each object shows, and gets ready for their pages; only where the level is in pages. */
+  async openLevel(): Promise<void> {
+    const index = await this.placement.geometry();
+    this.level.open(this.placement.manifest, index, this.caps.level);
+    this.levelPlan = new LevelPlan(index, this.placement.manifest.geometry!, this.placement.index.objectBox);
   }
 
   /** Finds cell, interval and impostors of the view; returns whether anything changed. */
@@ -132,7 +155,10 @@ export class Engine {
     s.costBound = manifest.cost_model.per_frame + (chunk && view >= 0 ? chunk.viewCost[view] : manifest.worst_nonproblem);
     s.needed = [];
     s.shown = [];
+    this.covered.fill(0);
     for (const m of list) {
+      const cluster = index.impostorCluster[chunk!.impostorId[m]];
+      if (this.modes.impostors) this.covered.fill(1, index.clusterStart[cluster], index.clusterStop[cluster]);
       const pages = this.pagesOf(chunk!).of(m);
       s.needed.push(...pages);
       if (pages.every((page) => this.pages.isResident(page))) s.shown.push(m);
@@ -181,6 +207,26 @@ export class Engine {
       if (chunk) this.pagesOf(chunk).addCell(cell, direction, manifest.interval_edges, out);
     }
     return out;
+  }
+
+  /** Parts of the level that are wanted, best first: this view, this cell, and what is near where the camera will be. */
+  wantedParts(position: Vec3, direction: Vec3, ahead: ArrayLike<number>): PartsWanted | undefined {
+    const { level, levelPlan, placement, situation: s } = this;
+    if (!levelPlan || !level.pages) return undefined;
+    this.prepare(position, direction);
+    const chunk = s.chunk < 0 ? null : (placement.residentChunk(s.chunk) ?? null);
+    const visible = s.cell < 0 ? null : visibleOfCell(chunk, s.cell);
+    const { origin_m } = placement.manifest;
+    const from = [0, 1, 2].map((a) => ahead[a] - origin_m[a]);
+    const { objects, nObjects, levels } = this.selection;
+    return levelPlan.wanted(objects, nObjects, this.covered, visible, levels, from, level.pages.partBytes, this.caps.level);
+  }
+
+  /** The most bytes that a metre of walking asks for, in the cells around; 0: not known. */
+  bytesPerMetre(): number {
+    const { placement, situation: s } = this;
+    const chunk = s.chunk < 0 ? undefined : placement.residentChunk(s.chunk);
+    return chunk ? bytesPerMetre(placement.manifest, placement.index, chunk, this.pagesOf(chunk), this.levelPlan) : 0;
   }
 
   /** Draws one frame into the canvas at its present size. */
@@ -298,7 +344,21 @@ export class Engine {
     renderer.setViewport(shift, 0, width, height);
     renderer.setScissorTest(true);
     renderer.setScissor(from, 0, to - from, height);
-    if (level.ready) level.draw(view, selection, this.drawn);
+    if (!level.ready) return;
+    level.draw(view, selection, this.drawn);
+    if (withImpostors) {
+      this.standIns.missing = level.missing;
+      this.standIns.boxes = level.nAbsent;
+      this.standIns.untextured = level.untextured;
+    }
+    if (!level.nAbsent) return;
+    renderer.resetState();
+    this.bind();
+    gl.viewport(shift, 0, width, height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(from, 0, to - from, height);
+    const { manifest, index } = this.placement;
+    this.boxes.draw(view, manifest.origin_m, level.absent, level.nAbsent, index.objectBox, level.geometry!.objectColor, this.drawn);
   }
 
   private pagesOf(chunk: PlacementChunk): ChunkPages {

@@ -30,6 +30,11 @@ export interface Stats {
   overForStreaming: number;
   over: number; // frames over budget, of those the guarantee speaks of
   residentPages: number;
+  missing: number; // objects drawn at another level of detail or as boxes: their geometry is not here
+  boxes: number; // of them
+  incomplete: number; // frames so far with any
+  memory: { level: number; mostLevel: number; mostChunks: number; evictions: number }; // bytes; video memory of the level, system memory of chunks
+  firstWholeMs: number; // when the first image without stand-ins was drawn, since the page was opened
 }
 
 export interface Hook {
@@ -113,6 +118,11 @@ function read(app: App): Stats {
       cell: situation.cell, interval: situation.interval, problemView: situation.problemView, hopeless: situation.hopeless,
       inside: insideBoxes(view_space, position), position: [...position], direction: [...direction],
       overForStreaming: app.counts.overForStreaming, over: app.counts.over, residentPages: engine.pages.residentPages,
+      missing: engine.standIns.missing, boxes: engine.standIns.boxes, incomplete: app.counts.incomplete, firstWholeMs: app.firstWholeMs,
+      memory: {
+        level: engine.level.pages?.bytes ?? 0, mostLevel: engine.level.pages?.mostBytes ?? 0, mostChunks: app.streamer.mostChunkBytes,
+        evictions: engine.level.pages?.evictions ?? 0,
+      },
     };
   });
 }

@@ -4,7 +4,8 @@ import type { Manifest } from "../placementdb/manifest";
 import type { Served } from "../placementdb/placement";
 import { intervalName } from "../select/intervals";
 import { costAt } from "../select/levels";
-import type { Traffic } from "../stream/files";
+import { heldBytes } from "../stream/caps";
+import { bandwidth, type Traffic } from "../stream/files";
 import type { Streamer } from "../stream/streamer";
 import { byId, setShown, setText } from "../ui/dom";
 import { bytes, cost, count, short, tick } from "../ui/format";
@@ -18,6 +19,7 @@ const RIGHT = 250;
 export interface Counts {
   overForStreaming: number; // frames over budget because impostors were not here yet
   over: number; // frames over budget for any reason
+  incomplete: number; // frames with boxes or coarse levels in place of geometry that was not here yet
   promised: number; // frames that the guarantee speaks of
 }
 
@@ -28,6 +30,8 @@ export class Overlay {
   private rateBytes = 0;
   private rateAt = 0;
   private rate = 0;
+  private speedFor = -2;
+  private perMetre = 0;
 
   constructor(engine: Engine, clock: FrameClock) {
     this.engine = engine;
@@ -52,8 +56,8 @@ export class Overlay {
     setText("late", `${count(counts.over)} over of ${count(counts.promised)}`);
     setText("calls", count(engine.drawn.calls));
     setText("triangles", short(engine.drawn.triangles));
-    setText("resident", ((pages.residentPages * pages.bytesPerPage) / 1e6).toFixed(1));
-    setText("resident-of", `of ${((Math.min(pages.slots, manifest.pages.length) * pages.bytesPerPage) / 1e6).toFixed(0)} MB`);
+    setText("resident", ((pages.residentPages * pages.bytesPerPage + (engine.level.pages?.bytes ?? 0)) / 1e6).toFixed(1));
+    setText("resident-of", `of ${((Math.min(pages.slots, manifest.pages.length) * pages.bytesPerPage + this.levelBytes()) / 1e6).toFixed(0)} MB`);
     setText("cell", s.cell < 0 ? "outside" : String(s.cell));
     setText("interval", intervalName(s.interval, manifest.interval_edges.length - 1));
     const used = engine.modes.impostors ? s.shown.length : 0;
@@ -70,19 +74,21 @@ export class Overlay {
       this.rateBytes = traffic.bytes;
       this.rateAt = now;
     }
-    const all = manifest.pages.length;
-    const resident = engine.pages.residentPages;
+    const level = engine.level.pages;
+    const all = manifest.pages.length + (level?.parts ?? 0);
+    const resident = engine.pages.residentPages + (level?.resident ?? 0);
     const complete = streamer.complete;
     const lost = traffic.failures >= 2;
-    setText("stream-state", lost ? "connection lost" : complete ? (resident >= all ? "all resident" : "complete here") : "streaming");
+    setText("stream-state", lost ? "connection lost" : complete ? (streamer.whole ? "all resident" : "complete here") : "streaming");
     byId("stream-icon").setAttribute("href", lost ? "#warn" : complete ? "#done" : "#run");
     setText("in-flight", complete ? "" : `${streamer.inFlight} in flight`);
-    const share = all ? resident / Math.min(all, engine.pages.slots) : 1;
+    const share = all ? resident / Math.min(all, engine.pages.slots + (level?.parts ?? 0)) : 1;
     (byId("stream-bar").firstElementChild as HTMLElement).style.width = `${100 * share}%`;
     byId("stream-bar").setAttribute("aria-valuenow", String(Math.round(100 * share)));
-    setText("this-cell", engine.situation.waiting ? "this view is on its way" : "this view complete");
+    setText("this-cell", engine.situation.waiting || engine.standIns.missing ? "this view is on its way" : "this view complete");
     setText("rate", this.rate > 0 && !complete ? `${bytes(this.rate)}/s` : "");
-    setText("stream-late", `${count(counts.overForStreaming)} frames over budget while loading`);
+    setText("stream-late", `${count(counts.overForStreaming)} frames over budget while loading, ${count(counts.incomplete)} with stand-ins`);
+    setText("stream-speed", this.speedWords(streamer, traffic));
     if (lost) {
       const seconds = Math.max(0, Math.ceil((traffic.retryAtMs - now) / 1000));
       notice("inf", "Connection lost", `What is here stays usable. Trying again in ${seconds} s.`);
@@ -95,6 +101,24 @@ export class Overlay {
     } else if (!failed) {
       setShown("notice", false);
     }
+  }
+
+  /** Of the level in video memory: what it would take, or may. */
+  private levelBytes(): number {
+    return Math.min(this.engine.caps.level, heldBytes(this.manifest).level);
+  }
+
+  private speedWords(streamer: Streamer, traffic: Traffic): string {
+    const { chunk } = this.engine.situation;
+    if (streamer.whole) return "all of it is here: no limit of speed";
+    if (chunk !== this.speedFor) {
+      this.speedFor = chunk;
+      this.perMetre = this.engine.bytesPerMetre();
+    }
+    const rate = bandwidth(traffic);
+    if (!rate || !this.perMetre) return "";
+    const speed = rate / this.perMetre;
+    return `${bytes(rate)}/s keep the budget up to ${speed < 10 ? speed.toFixed(1) : speed.toFixed(0)} m/s here`;
   }
 
   private plot(): void {

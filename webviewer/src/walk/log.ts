@@ -15,6 +15,7 @@ export interface FrameFacts {
   triangles: number;
   impostors: number;
   waiting: number; // impostors of the view that were not resident
+  missing: number; // objects whose geometry was not resident
   cost: number;
   geometryCost: number;
   cell: number; // -1: none
@@ -39,7 +40,7 @@ export class WalkLog {
     this.ms = new Float64Array(frames).fill(NaN);
     const column = (): Float64Array => new Float64Array(frames);
     this.columns = {
-      calls: column(), triangles: column(), impostors: column(), waiting: column(), cost: column(), geometryCost: column(),
+      calls: column(), triangles: column(), impostors: column(), waiting: column(), missing: column(), cost: column(), geometryCost: column(),
       cell: column(), problemView: column(), reason: column(),
     };
   }
@@ -50,6 +51,7 @@ export class WalkLog {
     c.triangles[k] = f.triangles;
     c.impostors[k] = f.impostors;
     c.waiting[k] = f.waiting;
+    c.missing[k] = f.missing;
     c.cost[k] = f.cost;
     c.geometryCost[k] = f.geometryCost;
     c.cell[k] = f.cell;
@@ -76,7 +78,7 @@ export class WalkLog {
 }
 
 const CSV_HEADER = [
-  "frame", "walk_ms", "time_ms", "calls", "triangles", "impostors", "impostors_waiting", "cost", "geometry_cost", "cell", "problem_view", "over_budget",
+  "frame", "walk_ms", "time_ms", "calls", "triangles", "impostors", "impostors_waiting", "objects_missing", "cost", "geometry_cost", "cell", "problem_view", "over_budget",
 ];
 
 /** One line a frame. */
@@ -84,7 +86,7 @@ export function walkCsv(log: WalkLog, stepMs: number): string {
   const { columns: c } = log;
   const id = (n: number): number | null => (n < 0 ? null : n);
   const rows = Array.from({ length: log.count }, (_, k) => [
-    k, (k * stepMs).toFixed(3), Number.isFinite(log.ms[k]) ? log.ms[k].toFixed(3) : null, c.calls[k], c.triangles[k], c.impostors[k], c.waiting[k], c.cost[k],
+    k, (k * stepMs).toFixed(3), Number.isFinite(log.ms[k]) ? log.ms[k].toFixed(3) : null, c.calls[k], c.triangles[k], c.impostors[k], c.waiting[k], c.missing[k], c.cost[k],
     c.geometryCost[k], id(c.cell[k]), id(c.problemView[k]), REASONS[c.reason[k]],
   ]);
   return csv(CSV_HEADER, rows);
