@@ -53,6 +53,8 @@ def test_one_box_moved_is_placed_on_what_still_holds(first, run, files_of, tmp_p
     assert told["impostors_kept"] > 0 and told["impostors_built"] > 0
     assert ran.document["verified"]["verdict"] == "valid" and ran.document["lower_bound_bytes"] is None
     assert {s["name"]: s["skipped"] for s in ran.document["stages"]}["bound"].startswith("there are no candidates")
+    shown = run("report", tmp_path / "out").out
+    assert f"placed on {base['manifest_sha256'][:16]}: {told['impostors_kept']} of its impostors stand" in shown
     kept, now = pages(first / "out"), pages(tmp_path / "out")
     assert kept.items() & now.items() and now.keys() - kept.keys()
     verified = run("verify", tmp_path / "out", "--views", 2000, "--json")

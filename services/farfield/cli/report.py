@@ -70,6 +70,9 @@ def show_report(report: Mapping[str, Any], console: Console | None = None) -> No
     out.print(f"[bold {colour}]{report['verdict']}[/]  {meaning} ({report['budget']})", highlight=False)
     if report["stopped"]:
         out.print("stopped by its time limit: more time could save memory", highlight=False)
+    if base := report.get("base"):
+        text = f"placed on {base['manifest_sha256'][:16]}: {base['impostors_kept']:,} of its impostors stand"
+        out.print(f"{text}, {base['impostors_built']:,} were built", highlight=False)
     out.print(_figures(report))
     out.print(_stages(report["stages"]))
     if len(report["curve"]) > 1:
