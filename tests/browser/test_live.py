@@ -71,6 +71,11 @@ def test_the_optimiser_is_watched_while_it_runs(open_page, service):
     page.wait_for_selector("#hopeless")  # the map is that of the placement now
     assert page.locator(".map .cells [class^=u]").count() == 0
     assert "54.0 MB" in page.get_attribute(".chart.live >> nth=0", "aria-label")
+    page.focus("[data-stage=viewspace] svg")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")  # the log of that shard alone
+    page.wait_for_selector(".log[open] pre .wh")
+    assert set(page.locator(".log pre .wh").all_inner_texts()) == {"viewspace 2"}
     with page.expect_download() as waiting:
         page.click("[aria-label='Curves as CSV']")
     rows = waiting.value.path().read_text().strip().splitlines()

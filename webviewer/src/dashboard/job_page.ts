@@ -39,7 +39,7 @@ async function start(): Promise<void> {
   const ended = (): boolean => !["queued", "running"].includes(job.state);
   let map: ViewMap | null = null;
   const ratchet = new Ratchet();
-  const grid = new ShardGrid(state);
+  const grid = new ShardGrid(state, (who) => log.only(who));
   const live = emptyLive();
   for (const event of past.events) if (event.seq <= job.last_event) takeLive(live, event);
   const curves = new LivePanel(live, job.name);

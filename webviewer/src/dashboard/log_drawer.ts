@@ -13,10 +13,11 @@ export class LogDrawer {
   private readonly last = h("span", { class: "mono" });
   private readonly lines = h("pre", { tabindex: "0", role: "log", "aria-label": "Log" });
   private readonly follow = h("button", { type: "button", "aria-pressed": "true" }, "Follow");
-  private readonly select = h("select", { "aria-label": "Stage" }, h("option", { value: "" }, "all stages"));
+  private readonly select = h("select", { "aria-label": "Stage or shard" }, h("option", { value: "" }, "all stages"));
   private readonly levels: HTMLInputElement[] = [];
   private timer: ReturnType<typeof setTimeout> | undefined;
   private scrolling = false;
+  private one: HTMLOptionElement | null = null; // a shard whose lines alone are shown
 
   constructor(private readonly state: JobState, private readonly name: string, stages: readonly string[]) {
     this.select.append(...stages.map((stage) => h("option", { value: stage }, stage)));
@@ -42,8 +43,25 @@ export class LogDrawer {
   }
 
   filter(stage: string | null): void {
+    this.setWho(null);
     this.select.value = stage ?? "";
     this.draw();
+  }
+
+  /** The lines of one shard alone, as the log names it ("viewspace 12"). */
+  only(who: string): void {
+    this.setWho(who);
+    this.element.open = true;
+    this.draw();
+  }
+
+  private setWho(who: string | null): void {
+    if (this.one) this.one.remove();
+    this.one = null;
+    if (who === null) return;
+    this.one = h("option", { value: `=${who}` }, who);
+    this.select.append(this.one);
+    this.select.value = this.one.value;
   }
 
   changed(): void {
@@ -53,7 +71,8 @@ export class LogDrawer {
   private shown(): LogLine[] {
     const level = this.levels.find((l) => l.checked)?.value ?? "info";
     const wanted = level === "error" ? ["error"] : level === "warn" ? ["warn", "error"] : ["info", "warn", "error"];
-    return this.state.log.filter((l) => wanted.includes(l.level) && (!this.select.value || l.stage === this.select.value));
+    const chosen = this.select.value;
+    return this.state.log.filter((l) => wanted.includes(l.level) && (!chosen || (chosen.startsWith("=") ? l.who === chosen.slice(1) : l.stage === chosen)));
   }
 
   private draw(): void {

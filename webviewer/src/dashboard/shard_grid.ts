@@ -26,7 +26,8 @@ export class ShardGrid {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private only: string | null = null;
 
-  constructor(private readonly state: JobState) {
+  /** `chosen` hears which shard is clicked, or named by Enter, as the log calls it. */
+  constructor(private readonly state: JobState, private readonly chosen: (who: string) => void) {
     this.element.append(h("header", null, h("h2", { id: "sh" }, "Shards"), this.count), this.rows, key(), this.tip,
       h("table", { class: "wk" }, h("caption", { class: "sr" }, "Working now"), this.working));
   }
@@ -83,7 +84,7 @@ export class ShardGrid {
     row.shown = squares(list);
     const done = list.reduce((n, x) => n + Number(x?.state === "done"), 0);
     line.lastElementChild!.textContent = `${done.toLocaleString("en")} / ${list.length.toLocaleString("en")}`;
-    row.svg.setAttribute("aria-label", `${stage}: ${done} of ${plural(list.length, "shard")} done; arrow keys name one`);
+    row.svg.setAttribute("aria-label", `${stage}: ${done} of ${plural(list.length, "shard")} done; arrow keys name one, Enter shows its log`);
     const height = Math.ceil(row.shown.length / COLUMNS) * PITCH;
     row.svg.setAttribute("viewBox", `0 0 ${COLUMNS * PITCH} ${height}`);
     row.svg.replaceChildren(...paths(row.shown));
@@ -103,7 +104,12 @@ export class ShardGrid {
       if (at < row.shown.length) name(at);
     });
     row.svg.addEventListener("focus", () => name(row.at));
+    const choose = (): void => {
+      if (row.shown[row.at]?.count === 1) this.chosen(`${stage} ${row.shown[row.at].first + 1}`);
+    };
+    row.svg.addEventListener("click", choose);
     row.svg.addEventListener("keydown", (e) => {
+      if (e.key === "Enter") return choose();
       const by = { ArrowRight: 1, ArrowLeft: -1, ArrowDown: COLUMNS, ArrowUp: -COLUMNS }[e.key];
       if (by === undefined) return;
       e.preventDefault();
