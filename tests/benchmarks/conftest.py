@@ -1,7 +1,7 @@
 """Benchmarks run with --bench only; their rows are printed at the end, and kept with --bench-save.
 
 Kept are results/VERSION.csv and .md; results/golden.csv, what later runs are held against, is made by copying the former: it
-changes on purpose only.
+changes on purpose only. What was kept of benchmarks that a run leaves out stays: a long run can be made in pieces.
 """
 
 import os
@@ -13,7 +13,18 @@ from typing import Any
 
 import pytest
 from benchmarks.inputs import Level, cutout_level
-from benchmarks.measure import Machine, Row, as_csv, as_page, as_table, finished, line, measure_machine, read_golden
+from benchmarks.measure import (
+    Machine,
+    Row,
+    as_csv,
+    as_page,
+    as_table,
+    finished,
+    line,
+    measure_machine,
+    read_golden,
+    read_rows,
+)  # fmt: skip
 from farfield.stages import Stage
 
 HERE = Path(__file__).parent
@@ -22,6 +33,10 @@ _ORDER.insert(_ORDER.index(Stage.CANDIDATES), "impostor")  # the leaf that candi
 _ROWS = pytest.StashKey[list[Row]]()
 _MACHINE = pytest.StashKey[Machine]()
 _GOLDEN = HERE / "results" / "golden.csv"
+
+
+def _place(row: Row) -> int:
+    return _ORDER.index(row.stage.split()[0])
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -36,7 +51,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pytest.Config) -> None:
-    rows = sorted(config.stash.get(_ROWS, []), key=lambda row: _ORDER.index(row.stage.split()[0]))
+    rows = sorted(config.stash.get(_ROWS, []), key=_place)
     if not rows:
         return
     machine = config.stash[_MACHINE]
@@ -50,7 +65,9 @@ def pytest_terminal_summary(terminalreporter: Any, exitstatus: int, config: pyte
         path = HERE / "results" / f"{version('farfield')}.csv"
         path.parent.mkdir(exist_ok=True)
         cores = len(os.sched_getaffinity(0))
-        path.write_text(as_csv(rows, machine, cores=cores), encoding="utf-8")
+        kept = {(row.stage, row.work): row for row in read_rows(path.read_text("utf-8"))} if path.exists() else {}
+        rows = sorted({**kept, **{(row.stage, row.work): row for row in rows}}.values(), key=_place)
+        path.write_text(as_csv(rows, cores=cores), encoding="utf-8")
         where = f"farfield {version('farfield')}, {platform.machine()}, {cores} cores, {platform.system()}"
         page = as_page(rows, machine, command="make bench", where=where)
         path.with_suffix(".md").write_text(f"# Benchmarks of {version('farfield')}\n\n{page}", encoding="utf-8")

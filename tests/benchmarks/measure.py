@@ -37,6 +37,7 @@ class Row:
     bound_s: float | None = None  # what a physical bound allows at best; of `least_bytes` where it is not given
     bound: str = ""
     times_before: float | None = None
+    sorts: float | None = None  # seconds in units of the machine's sort
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +74,7 @@ def finished(row: Row, machine: Machine, golden: Mapping[tuple[str, str], float]
     """Return the row with what needs the machine and the golden run (stage, work -> seconds in units of its sort)."""
     if row.least_bytes is not None and row.bound_s is None:
         row = replace(row, bound_s=row.least_bytes / machine.copy_bytes_s, bound=f"{_short(row.least_bytes)}B moved")
+    row = replace(row, sorts=row.seconds / machine.sort_s)
     before = golden.get((row.stage, row.work))
     return replace(row, times_before=before * machine.sort_s / row.seconds) if before and row.seconds else row
 
@@ -135,21 +137,35 @@ def as_table(rows: Sequence[Row]) -> str:
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(cells, widths)).rstrip() for cells in lines)
 
 
-def as_csv(rows: Sequence[Row], machine: Machine, *, cores: int) -> str:
-    """Return all rows as CSV, numbers to three digits; `cores` is what the machine had, `sorts` the unit of golden times."""
+def as_csv(rows: Sequence[Row], *, cores: int) -> str:
+    """Return all rows as CSV, numbers to three digits; `cores` is what the machine had."""
     out = io.StringIO()
     names = [f.name for f in fields(Row)]
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*names, "sorts", "cores"])
+    writer.writerow([*names, "cores"])
     for row in rows:
-        values = [*(getattr(row, name) for name in names), row.seconds / machine.sort_s]
+        values = [getattr(row, name) for name in names]
         writer.writerow([*("" if v is None else f"{v:.3g}" if isinstance(v, float) else v for v in values), cores])
     return out.getvalue()
 
 
+def read_rows(text: str) -> list[Row]:
+    """Return the rows that `as_csv` wrote."""
+    words = {"stage", "work", "input", "unit", "naive_input", "sizes", "bound"}
+    return [
+        Row(
+            **{
+                f.name: told[f.name] if f.name in words else float(told[f.name]) if told[f.name] else None
+                for f in fields(Row)
+            }
+        )  # type: ignore[arg-type]
+        for told in csv.DictReader(io.StringIO(text))
+    ]
+
+
 def read_golden(text: str) -> dict[tuple[str, str], float]:
-    """Return (stage, work) -> seconds in units of that run's sort, of what `as_csv` wrote."""
-    return {(row["stage"], row["work"]): float(row["sorts"]) for row in csv.DictReader(io.StringIO(text))}
+    """Return (stage, work) -> seconds in units of that run's sort."""
+    return {(row.stage, row.work): row.sorts for row in read_rows(text) if row.sorts is not None}
 
 
 def as_page(rows: Sequence[Row], machine: Machine, *, command: str, where: str) -> str:
