@@ -8,6 +8,9 @@ Method   Corners go to the frame in float64. Each triangle is cut at the slab bo
 Backs    A triangle of a single-sided material is left out iff no point of the view cell sees its front. Culling by the
          eye alone, as a viewer at the eye would, opens holes for the rest of the cell. Errs towards keeping: a few
          faces stay that turn away from the eye; shafts are taken as the octagonal pyramids around them.
+         By the same test a double-sided face shows its front wherever some of the cell sees that: most bodies are closed,
+         and where the eye lies a little under a roof its dark underside would line the wall's top edge. Errs for open
+         sheets that lie across the cell: they have one colour on both sides.
 """
 
 import math

@@ -25,9 +25,9 @@ def _to_frame(v, m, eye, axes, out):
 @njit(cache=True)
 def gather(position, index, primitive_triangle, primitive_material, mesh_primitive, object_mesh, object_matrix, start, stop,
            first, last, skip, single, eye, axes, hull, directions, corner, vertex, material, owner, away):  # fmt: skip
-    """Fill the triangles [first, last) of those of objects [start, stop) in frame coordinates; return how many. Culls
-    what no point of the view cell (hull points and directions, relative to the eye, in the frame) sees from its front,
-    if single-sided."""
+    """Fill the triangles [first, last) of those of objects [start, stop) in frame coordinates; return how many. What no
+    point of the view cell (hull points and directions, relative to the eye, in the frame) sees from its front is
+    culled if single-sided, else `away` where the eye sees its back, too."""
     n, passed = 0, 0
     for o in range(start, stop):
         m = object_matrix[o]
@@ -55,8 +55,8 @@ def gather(position, index, primitive_triangle, primitive_material, mesh_primiti
                 if det < 0:
                     nx, ny, nz = -nx, -ny, -nz
                 level = nx * a0[0] + ny * a0[1] + nz * a0[2]
-                if single[k]:
-                    seen = False
+                seen = False
+                if single[k] or level > 0:
                     for h in range(len(hull)):
                         if nx * hull[h, 0] + ny * hull[h, 1] + nz * hull[h, 2] >= level:
                             seen = True
@@ -65,11 +65,11 @@ def gather(position, index, primitive_triangle, primitive_material, mesh_primiti
                         if seen or nx * directions[h, 0] + ny * directions[h, 1] + nz * directions[h, 2] > 0:
                             seen = True
                             break
-                    if not seen:
+                    if single[k] and not seen:
                         continue
                 material[n] = k
                 owner[n] = o - start
-                away[n] = level > 0
+                away[n] = level > 0 and not seen
                 n += 1
     return n
 

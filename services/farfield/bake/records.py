@@ -22,7 +22,7 @@ class Sources(NamedTuple):
     vertex: np.ndarray  # (S,3)  i32  into the scene's vertex arrays
     material: np.ndarray  # (S,)   i32
     object: np.ndarray  # (S,)   i32  from the cluster's first object
-    away: np.ndarray  # (S,)   b1   the eye sees its back
+    away: np.ndarray  # (S,)   b1   the eye sees its back, and so does all of the view cell
 
 
 class Pieces(NamedTuple):

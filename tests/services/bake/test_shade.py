@@ -53,6 +53,20 @@ def test_a_wall_has_the_colour_of_the_formula(turned):
     assert (np.abs(texels[texels[..., 3] > 0][:, :3].astype(int) - expected) <= 1).all()
 
 
+@pytest.mark.parametrize("up", [True, False])
+@pytest.mark.parametrize("height", [4.95, 5.05])
+def test_a_face_across_the_view_cell_shows_its_front(height, up):
+    """Wherever the eye lies: of closed bodies nobody sees the back, though the eye may be on its side."""
+    roof = Panel(low=(-10, height, -40), u=(20, 0, 0), v=(0, 0, -20))
+    if not up:
+        roof = Panel(low=(10, height, -40), u=(-20, 0, 0), v=(0, 0, -20))
+    normal = np.array([0.0, 1 if up else -1, 0])
+    baked = bake(panel_scene([roof], base_color=[(0.5, 0.3, 0.2, 1)]))
+    texels = np.concatenate([naive_bake.layer_texels(baked, k).reshape(-1, 4) for k in range(len(baked.plane))])
+    expected = encode_srgb(np.array([0.5, 0.3, 0.2]) * light(normal))
+    assert (np.abs(texels[texels[:, 3] > 0][:, :3].astype(int) - expected) <= 1).all()
+
+
 def test_a_turned_object_turns_its_normals():
     """The same wall, lying in its own frame and put upright by a matrix that also stretches it."""
     flat = Panel(low=(-5, 0, 0), u=(10, 0, 0), v=(0, 0, -5))

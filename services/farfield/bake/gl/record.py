@@ -101,6 +101,8 @@ class Recorder:
         self._whole_buffer.bind_to_storage_buffer(0)
         self._real_buffer.bind_to_storage_buffer(1)
         self._vertices.render(4, vertices=6 * len(whole))
+        # Before the buffers are written again: llvmpipe reads them when it shades, not when it is told to draw.
+        self._ctx.finish()
 
     def end(self) -> np.ndarray:
         """Return the sheet (height, width) u32."""
