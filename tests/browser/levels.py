@@ -74,7 +74,7 @@ def box_level(boxes: np.ndarray, *, notice: str = "") -> bytes:
 
 
 def give_level(folder: Path, level: bytes) -> None:
-    """Write `scene.glb` beside a placement; the manifest, sealed again, has its digest, the bake's lighting, and no pages of geometry."""
+    """Write `scene.glb` beside a placement, and its digest and the bake's lighting into the manifest, sealed again."""
     (folder / "scene.glb").write_bytes(level)
     path = folder / "placement" / "manifest.json"
     manifest = json.loads(path.read_text())

@@ -312,7 +312,7 @@ def test_never_shows_a_hole_while_pages_are_on_their_way(folders: dict[str, Path
         (
             "manifest.json",
             b'{"format":"farfield placement","version":7}',
-            "format version 7; this farfield reads version 5",
+            "format version 7; this farfield reads version 6",
         ),
         ("manifest.json", 404, "manifest.json is missing"),
         ("index-", b"FARFIELD", "is truncated: 8 of at least"),

@@ -22,6 +22,8 @@ declare global {
   }
 }
 
+const RESTORED = "farfield restored after a reset";
+
 applyTheme();
 const started = start();
 window.farfield = makeHook(started);
@@ -32,7 +34,14 @@ async function start(): Promise<App> {
   const gl = makeContext(canvas);
   canvas.addEventListener("webglcontextlost", (e) => {
     e.preventDefault();
-    failure("The graphics driver has reset", "What was in video memory is lost. Load the page again.");
+    failure("The graphics driver has reset", "What was in video memory is lost. The viewer comes back as soon as the driver does.");
+  });
+  // All that video memory held comes anew, from the cache: the address holds the view.
+  canvas.addEventListener("webglcontextrestored", () => {
+    const before = Number(sessionStorage.getItem(RESTORED));
+    if (before && Date.now() - before < 30_000) return failure("The graphics driver resets again and again", "Close other pages that draw, then load this one again.");
+    sessionStorage.setItem(RESTORED, String(Date.now()));
+    void started.then((app) => history.replaceState(null, "", app.shared())).finally(() => location.reload());
   });
   const id = location.pathname.split("/").filter(Boolean).at(-1) ?? "";
   const base = `/v1/placements/${encodeURIComponent(decodeURIComponent(id))}/`;
