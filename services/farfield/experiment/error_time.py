@@ -67,7 +67,8 @@ def build(job: Job, args: argparse.Namespace) -> dict[str, Any]:
             else:
                 sections.append(judged.JUDGED[curve](sweep, settings, *of[curve]))
     notes = [f"Looked at: {len(settings.view_space.boxes or ())} boxes of the view space, cells of "
-             f"{settings.view_space.cell_m:g} m, budget {settings.budget}."]  # fmt: skip
+             f"{settings.view_space.cell_m:g} m, budget {settings.budget}.",
+             "A machine's first run compiles kernels, in the time of the stage that needs them first."]  # fmt: skip
     defects = [
         f"{row['name']}: {row['below_one']} bounds below the union of what cameras see"
         for section in sections for row in section.rows if row.get("below_one")
