@@ -57,7 +57,7 @@ def missed(folder: str, sets: list[str], views: int, seed: int) -> Any:
         low, high = boxes[rng.choice(len(boxes), p=weight / weight.sum())]
         position = low + (high - low) * rng.random(3)
         turn, tilt = 2 * math.pi * rng.random(), math.radians(30) * (2 * rng.random() - 1)
-        if (_look(drawer, placement, position, 0.0, math.pi / 2, every, 3) > 0).any():
+        if _look(drawer, placement, position, 0.0, math.pi / 2, every, 3)[1, 1] > 0:
             continue
         what = _look(drawer, placement, position, turn, tilt, every, SIDE)
         cell = placement.lookup(position, np.array([1.0, 0.0, 0.0])).cell

@@ -234,11 +234,13 @@ def image(sweep: Sweep, settings: Settings, pairs: int) -> Section:
             "name": name, "pixel_error": error, "pairs": proof["pairs"], "max_px": proof["worst_displacement_px"],
             "mean_px": proof["mean_displacement_px"], "flip": proof["flip"], "flip_p95": proof["flip_p95"],
             "in_view": proof["pairs_in_view"], "crack_px": proof["crack_px"], "megabytes": float(repaired.bytes.sum()) / 1e6,
-            "layers": int(repaired.layers.sum()), "hopeless": int(repaired.hopeless.sum()), "cpu_seconds": ran.cpu_seconds(Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE),
+            "layers": int(repaired.layers.sum()),
+            "hopeless": int(repaired.hopeless.sum()), "cpu_seconds": ran.cpu_seconds(Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE),
             "mark": "current" if error == own else "",
         })  # fmt: skip
     columns = (
-        _NAME, Column(key="hopeless", label="hopeless views"), Column(key="layers", label="layers"), Column(key="megabytes", label="MB", digits=2),
+        _NAME, Column(key="hopeless", label="hopeless views"),
+        Column(key="layers", label="layers"), Column(key="megabytes", label="MB", digits=2),
         Column(key="pairs", label="pairs"), Column(key="max_px", label="largest parallax, px", digits=3),
         Column(key="mean_px", label="mean, px", digits=3), Column(key="in_view", label="pairs in view"),
         Column(key="flip", label="FLIP, mean", digits=4), Column(key="flip_p95", label="95 %", digits=3),

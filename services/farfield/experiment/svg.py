@@ -138,7 +138,7 @@ def _series(one: Mapping[str, Any], k: int, x: _Axis, y: _Axis) -> list[str]:
         out.append(
             f'<circle {filled} cx="{a:.1f}" cy="{b:.1f}" r="4"><title>{escape("; ".join(said))}</title></circle>'
         )
-        if one["labels"] and len(points) <= 8:
+        if one["labels"] and len(points) <= 8 and k == 0:  # the others are at the same x
             end = a > WIDTH * 0.75
             out.append(f'<text class="soft" x="{a + (-9 if end else 9):.1f}" y="{b - 7:.1f}"'
                        f'{" text-anchor=" + chr(34) + "end" + chr(34) if end else ""}>{escape(label)}</text>')  # fmt: skip
