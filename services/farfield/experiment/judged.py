@@ -235,7 +235,8 @@ def image(sweep: Sweep, settings: Settings, pairs: int) -> Section:
             "mean_px": proof["mean_displacement_px"], "flip": proof["flip"], "flip_p95": proof["flip_p95"],
             "in_view": proof["pairs_in_view"], "crack_px": proof["crack_px"], "megabytes": float(repaired.bytes.sum()) / 1e6,
             "layers": int(repaired.layers.sum()),
-            "hopeless": int(repaired.hopeless.sum()), "cpu_seconds": ran.cpu_seconds(Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE),
+            "hopeless": int(repaired.hopeless.sum()),
+            "cpu_seconds": ran.cpu_seconds(Stage.CANDIDATES, Stage.PLACEMENT, Stage.BAKE),
             "mark": "current" if error == own else "",
         })  # fmt: skip
     columns = (
