@@ -1,11 +1,13 @@
 """Who asks: an API key in a header, or a session cookie made from a key or a login link.
 
-Session  "KEYID.EXPIRES.MAC": signed, HttpOnly, same-site; it ends when its key is revoked. A request that changes
-         something and comes with a cookie also needs X-CSRF-Token, which only our own pages can read.
+Session  "KEYID.EXPIRES.NONCE.MAC": signed, HttpOnly, same-site; it ends when its key is revoked, or when its owner logs out:
+         then its digest is in a table that every session is looked up in. A request that changes something and comes with a
+         cookie also needs X-CSRF-Token, which only our own pages can read.
 """
 
 import hashlib
 import hmac
+import secrets
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +31,7 @@ def _mac(secret: str, purpose: str, text: str) -> str:
 
 def make_session(secret: str, key_id: str, lifetime_s: int) -> str:
     """Return the cookie of a new session."""
-    text = f"{key_id}.{int(time.time()) + lifetime_s}"
+    text = f"{key_id}.{int(time.time()) + lifetime_s}.{secrets.token_hex(8)}"
     return f"{text}.{_mac(secret, 'session', text)}"
 
 
@@ -41,9 +43,14 @@ def csrf_token(secret: str, session: str) -> str:
 def key_of_session(secret: str, session: str) -> str | None:
     """Return the id of the key that the session was made from; None where it is forged or over."""
     text, _, mac = session.rpartition(".")
-    key_id, _, expires = text.partition(".")
+    key_id, expires, *_ = f"{text}.".split(".")
     genuine = hmac.compare_digest(mac.encode(), _mac(secret, "session", text).encode())
     return key_id if genuine and expires.isdigit() and int(expires) > time.time() else None
+
+
+def expiry_of_session(session: str) -> float:
+    """Return when a genuine session ends by itself, in seconds since 1970 UTC."""
+    return float(session.split(".")[1])
 
 
 def authenticate(request: Request, service: State) -> Caller:
@@ -82,7 +89,8 @@ def _holder(request: Request, service: State) -> Caller:
     if session is None:
         raise KeyMissing
     key_id = key_of_session(service.settings.secret, session)
-    caller = tenants.caller_of_id(service.engine, key_id) if key_id is not None else None
+    known = tenants.digest_of(session)
+    caller = tenants.caller_of_id(service.engine, key_id, known) if key_id is not None else None
     if caller is None:
         raise KeyUnknown
     if request.method not in SAFE:

@@ -1,6 +1,7 @@
 """One poller a process feeds all its event streams: a hundred idle streams cost one small query at a time."""
 
 import asyncio
+import random
 from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
@@ -94,9 +95,10 @@ class EventPoller:
                     yield event
                     if event["kind"] == "job" and event["data"].get("state") in ENDED:
                         return
-                if len(found) < PAGE and not self.closing:
-                    try:
-                        await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S)
+                while len(found) < PAGE and not self.closing:
+                    try:  # not all at once: streams that began together would else knock together for ever
+                        await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S * random.uniform(0.7, 1.0))
+                        break
                     except TimeoutError:
                         yield None
 

@@ -4,7 +4,7 @@ import hashlib
 import os
 import re
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from email.message import Message
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from farfield_api.body import Body
 from farfield_api.errors import UploadAltered, UploadTooLarge
 
 WRITE_BYTES = 1 << 20
+FORM_BYTES = 1 << 16  # by which a form may be larger than its file
 
 
 class Received:
@@ -31,16 +32,21 @@ class Received:
         return Arrived(path=self.path, name=self.name, n_bytes=self.n_bytes, digest=self.hash.hexdigest())
 
 
-async def receive(request: Request, folder: Path, *, limit: int, stall_s: float) -> Arrived:
+async def receive(
+    request: Request, folder: Path, *, limit: int, stall_s: float, room: Callable[[int], int | None] = lambda n: None
+) -> Arrived:
     """Write the body (raw, or the file of a form) into a new file of `folder`, which is the caller's to remove.
 
+    room  returns how many bytes may come, None for any number, and raises where so many have already come or are announced
     Raises UploadTooLarge, UploadAltered, UploadStalled, UploadCut; nothing is left then.
 
     The name comes from Content-Disposition: attachment; filename="level.glb", or from the form.
     """
     announced = request.headers.get("content-length", "")
-    if announced.isdigit() and int(announced) > limit + (1 << 16):  # a form is a little larger than its file
+    least = max(int(announced) - FORM_BYTES, 0) if announced.isdigit() else 0
+    if least > limit:
         raise UploadTooLarge(limit)
+    most = await run_in_threadpool(room, least)
     handle, name = tempfile.mkstemp(dir=folder, prefix="upload-")
     received = Received(Path(name))
     received.name = _filename(request.headers.get("content-disposition", ""))
@@ -51,6 +57,8 @@ async def receive(request: Request, folder: Path, *, limit: int, stall_s: float)
                 received.n_bytes += len(chunk)
                 if received.n_bytes > limit:
                     raise UploadTooLarge(limit)
+                if most is not None and received.n_bytes > most:
+                    most = await run_in_threadpool(room, received.n_bytes)
                 pending += chunk
                 if len(pending) >= WRITE_BYTES:
                     await run_in_threadpool(_write, file, received, bytes(pending))

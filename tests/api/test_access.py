@@ -5,7 +5,9 @@ import re
 from dataclasses import replace
 
 import pytest
+import sqlalchemy as sa
 from farfield.store import tenants
+from farfield.store.tables import ended_session
 from farfield_api.app import make_app
 from farfield_api.headers import HEADERS as SECURITY
 from starlette.testclient import TestClient
@@ -314,6 +316,30 @@ def test_a_session_needs_its_token_to_change_anything(service):
     assert service.client.get("/v1/jobs").status_code == 401
 
 
+def test_a_cookie_that_somebody_kept_opens_nothing_after_log_out(service):
+    service.client.headers.pop("authorization")
+    token = service.client.post("/v1/session", json={"key": service.key}).json()["csrf_token"]
+    kept = service.client.cookies["farfield_session"]
+    service.client.post("/v1/session", json={"key": service.key})  # another session of the same key, at the same second
+    mine = service.client.cookies["farfield_session"]
+    assert mine != kept
+
+    def ask(session, method="GET", **headers):
+        service.client.cookies.clear()
+        return service.client.request(
+            method, "/v1/session", headers={"cookie": f"farfield_session={session}", **headers}
+        )
+
+    assert ask(kept, "DELETE").json()["code"] == "CsrfMissing"
+    assert ask(kept).status_code == 200
+    assert ask(kept, "DELETE", **{"x-csrf-token": token}).status_code == 204
+    assert (ask(kept).status_code, ask(kept).json()["code"]) == (401, "KeyUnknown")
+    assert ask(mine).status_code == 200, "the key's other session goes on"
+    with service.engine.connect() as tx:
+        (stored,) = tx.scalars(sa.select(ended_session.c.session_digest))
+    assert stored != kept and kept not in stored
+
+
 def test_another_site_cannot_start_a_session(service):
     # A form of another site can only send simple content types, whatever the body looks like.
     for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x"):
@@ -326,13 +352,15 @@ def test_another_site_cannot_start_a_session(service):
 def test_a_forged_session_is_refused(service):
     service.client.headers.pop("authorization")
     service.client.post("/v1/session", json={"key": service.key})
-    key_id, expires, mac = service.client.cookies["farfield_session"].split(".")
+    key_id, expires, nonce, mac = service.client.cookies["farfield_session"].split(".")
     for forged in (
-        f"{key_id}.{int(expires) + 9}.{mac}",
-        f"{key_id}.{expires}.{'0' * 64}",
+        f"{key_id}.{int(expires) + 9}.{nonce}.{mac}",
+        f"{key_id}.{expires}.{nonce}.{'0' * 64}",
+        f"{key_id}.{expires}.{nonce[::-1]}.{mac}",
+        f"{key_id}.{expires}.{mac}",
         "",
         "a.b",
-        f"{'f' * 32}.{expires}.{mac}",
+        f"{'f' * 32}.{expires}.{nonce}.{mac}",
     ):
         service.client.cookies.clear()
         answer = service.client.get("/v1/jobs", headers={"cookie": f"farfield_session={forged}"})

@@ -1,15 +1,19 @@
 """Keys, quotas, limits and the audit log: who may what, how much, how often, and who did it."""
 
+import asyncio
 from dataclasses import replace
 
 import pytest
 import sqlalchemy as sa
+from farfield.errors import QuotaExceeded
+from farfield.store import quotas
 from farfield.store.engine import read, write
 from farfield.store.quotas import Quota
 from farfield.store.tables import api_key, audit
-from farfield_api import rates
+from farfield_api import rates, upload
 from farfield_api.app import make_app
 from farfield_api.routes import keys
+from starlette.requests import Request
 from starlette.testclient import TestClient
 
 
@@ -138,6 +142,38 @@ def test_a_tenant_stores_no_more_bytes_than_it_may(service, worker):
     freed = service.client.delete(f"/v1/jobs/{job}").json()["bytes"]
     assert service.client.get("/v1/usage").json()["bytes"] == used - freed
     assert service.client.post("/v1/scenes", content=b'{"b": "0123456789"}', headers=other).status_code == 201
+
+
+@pytest.mark.parametrize("announced", [True, False])
+def test_what_exceeds_the_quota_is_refused_while_it_comes(service, announced, tmp_path):
+    piece, n, sent = bytes(1 << 16), 64, []
+    limit(service, max_bytes=3 * len(piece))
+
+    async def receive():
+        sent.append(len(piece))
+        return {"type": "http.request", "body": piece, "more_body": len(sent) < n}
+
+    headers = [(b"content-length", str(n * len(piece)).encode())] if announced else []
+    request = Request({"type": "http", "method": "POST", "path": "/v1/scenes", "headers": headers}, receive)
+    quota, folder = service.settings.quota, tmp_path / "incoming"
+    folder.mkdir()
+
+    def room(already):
+        return quotas.check_upload(service.engine, service.tenant_id, quota, already=already)
+
+    with pytest.raises(QuotaExceeded):
+        asyncio.run(upload.receive(request, folder, limit=1 << 30, stall_s=5.0, room=room))
+    assert len(sent) <= (0 if announced else 4), "it took what it cannot keep"
+    assert not list(folder.iterdir())
+
+
+def test_a_full_tenant_may_send_again_what_it_has(service):
+    digest = service.upload(filler="x" * 5000)
+    limit(service, max_bytes=1)
+    assert service.upload(filler="x" * 5000) == digest
+    headers = {"content-disposition": 'attachment; filename="a.glb"', "content-type": "application/octet-stream"}
+    answer = service.client.post("/v1/scenes", content=b"y" * 90_000, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (403, "QuotaExceeded")
 
 
 def test_a_tenant_cannot_multiply_its_limits_by_keys_without_end(service, monkeypatch):

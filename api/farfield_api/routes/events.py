@@ -30,7 +30,7 @@ from farfield_api.times import iso
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 STALL_S = 60.0  # a reader that takes nothing for so long is left
-CHECK_S = 15.0  # how often the key of an open stream is looked at
+CHECK_S = 10.0  # after which the key of an open stream is looked at again, with the next event or keep-alive
 Kind = Literal["job", "stage", "shard", "progress"]
 
 _STREAM: dict[int | str, dict[str, Any]] = {
@@ -92,7 +92,7 @@ async def _frames(service: State, caller: Caller, job_id: str, after: int, kind:
     async for event in service.poller.follow(job_id, after):
         if time.monotonic() - looked > CHECK_S:
             looked = time.monotonic()
-            if await run_in_threadpool(tenants.caller_of_id, service.engine, caller.key_id) is None:
+            if await run_in_threadpool(tenants.caller_of_id, service.engine, caller.key_id, caller.session) is None:
                 return
         if event is None:
             yield KEEPALIVE_COMMENT

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from farfield.store import scenes
+from farfield.store import quotas, scenes
 from fastapi import APIRouter, HTTPException, Request, Response
 
 from farfield_api import upload
@@ -42,8 +42,9 @@ async def send(request: Request, response: Response, caller: Submitter, service:
     # The limit above is no limit: `receive` counts, and names what was exceeded.
     limits = service.settings
     file = await upload.receive(
-        request, service.artifacts.temporary, limit=limits.max_scene_bytes, stall_s=limits.stall_s
-    )
+        request, service.artifacts.temporary, limit=limits.max_scene_bytes, stall_s=limits.stall_s,
+        room=lambda n: quotas.check_upload(service.engine, caller.tenant_id, limits.quota, already=n),
+    )  # fmt: skip
     try:
         row, new = await accept(service, caller.tenant_id, file)
     finally:

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
-from farfield_api.auth import COOKIE, Reader, authenticate, csrf_token, make_session
+from farfield_api.auth import COOKIE, Reader, authenticate, csrf_token, expiry_of_session, make_session
 from farfield_api.documented import refusals
 from farfield_api.errors import RESPONSES, KeyMissing, KeyUnknown
 from farfield_api.state import Service, State
@@ -62,8 +62,11 @@ def show(caller: Reader, request: Request, service: Service) -> dict[str, Any]:
     return _told(service, caller, request.cookies.get(COOKIE))
 
 
-@router.delete("/session", status_code=204, summary="End the session: clears the cookie")
-def end(caller: Annotated[Caller, Depends(authenticated)]) -> Response:
+@router.delete("/session", status_code=204, summary="End the session, wherever its cookie is")
+def end(caller: Annotated[Caller, Depends(authenticated)], request: Request, service: Service) -> Response:
+    cookie = request.cookies.get(COOKIE)
+    if caller.session is not None and cookie is not None:
+        tenants.end_session(service.engine, caller.session, expires_at=expiry_of_session(cookie))
     response = Response(status_code=204)
     response.delete_cookie(COOKIE, path="/", httponly=True, samesite="strict")
     return response

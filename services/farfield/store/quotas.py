@@ -64,11 +64,22 @@ def set_quota(
         tx.execute(sa.update(tenant).where(tenant.c.id == tenant_id).values(**values))
 
 
-def room_bytes(engine: sa.Engine, tenant_id: str, default: Quota) -> int | None:
-    """Return how many bytes the tenant may still store; None: any number."""
+def check_upload(engine: sa.Engine, tenant_id: str, default: Quota, *, already: int) -> int | None:
+    """Return how large a file the tenant may send whose digest nobody knows yet; None: as large as it likes.
+
+    What is left of its quota, or its largest scene, which it may send again at no cost: the transaction that stores the
+    file is exact. Raises QuotaExceeded where `already` bytes are announced or here, and are more.
+    """
     with read(engine) as tx:
         limit = _quota(tx, tenant_id, default).max_bytes
-        return None if limit is None else max(limit - _bytes(tx, tenant_id), 0)
+        if limit is None:
+            return None
+        used = _bytes(tx, tenant_id)
+        known = tx.scalar(sa.select(sa.func.max(scene.c.n_bytes)).where(scene.c.tenant_id == tenant_id)) or 0
+    most = max(limit - used, int(known))
+    if already > most:
+        raise QuotaExceeded("bytes", used, limit)
+    return most
 
 
 def check_bytes(tx: sa.Connection, tenant_id: str, default: Quota, more: int) -> None:

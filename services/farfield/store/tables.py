@@ -91,6 +91,14 @@ login = sa.Table(  # one-time links that open the pages in a browser
     _at("used_at"),
 )
 
+ended_session = sa.Table(  # cookies whose owner has logged out, until they would have ended by themselves
+    "ended_session",
+    metadata,
+    sa.Column("session_digest", _DIGEST, primary_key=True),
+    _at("expires_at", nullable=False),
+    sa.Index(None, "expires_at"),
+)
+
 artifact = sa.Table(
     "artifact",
     metadata,

@@ -8,15 +8,15 @@ import hmac
 import re
 import secrets
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sqlalchemy as sa
 
 from farfield.errors import KeyNotFound, QuotaExceeded, TenantExists, TenantNotFound
-from farfield.store.engine import new_id, now, read, write
+from farfield.store.engine import insert, new_id, now, read, write
 from farfield.store.pages import Cursor, newest_first, owned
-from farfield.store.tables import SCOPES, api_key, login, tenant
+from farfield.store.tables import SCOPES, api_key, ended_session, login, tenant
 
 LOGIN_S = 7 * 24 * 3600.0
 
@@ -30,6 +30,7 @@ class Caller:
     scopes: frozenset[str]
     key_name: str = ""
     operator: bool = False  # of the operator's tenant
+    session: str | None = None  # digest of the cookie that it came with
 
 
 def digest_of(secret: str) -> str:
@@ -153,10 +154,26 @@ def caller_of_key(engine: sa.Engine, key: str) -> Caller | None:
     return _caller(row)
 
 
-def caller_of_id(engine: sa.Engine, key_id: str) -> Caller | None:
-    """Return who a session of this key belongs to, or None where the key is gone, expired or revoked."""
+def caller_of_id(engine: sa.Engine, key_id: str, session: str | None = None) -> Caller | None:
+    """Return whose this key, or this session of it, is; None where the key is gone, expired or revoked, or the session ended.
+
+    session  `digest_of` its cookie
+    """
+    if session is not None:
+        with read(engine) as tx:
+            if tx.scalar(_ENDED, {"session": session}) is not None:
+                return None
     row = _valid_key(engine, key_id)
-    return _caller(row) if row is not None else None
+    return replace(_caller(row), session=session) if row is not None else None
+
+
+def end_session(engine: sa.Engine, session: str, *, expires_at: float) -> None:
+    """End a session for good, of which `session` is `digest_of` its cookie; forget those that are over anyway."""
+    with write(engine) as tx:
+        over = ended_session.c.expires_at < now() - 86_400.0  # a day later: the clock that made it may be another
+        tx.execute(sa.delete(ended_session).where(over))
+        values = {"session_digest": session, "expires_at": expires_at}
+        tx.execute(insert(tx, ended_session).values(values).on_conflict_do_nothing())
 
 
 def create_login(engine: sa.Engine, key_id: str, *, lifetime_s: float = LOGIN_S) -> str:
@@ -236,3 +253,4 @@ _VALID_KEY = (
     sa.select(api_key, tenant.c.is_operator).join(tenant, tenant.c.id == api_key.c.tenant_id)
     .where(api_key.c.id == sa.bindparam("key"), _alive())
 )  # fmt: skip
+_ENDED = sa.select(ended_session.c.expires_at).where(ended_session.c.session_digest == sa.bindparam("session"))
