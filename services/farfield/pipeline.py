@@ -54,7 +54,7 @@ STEPS: dict[Stage, Step] = {
              reads=(_CAMERA, _QUALITY, *_CHOOSING),
              timed=lambda settings: settings.placement.time_limit_s is not None),
         Step(stage=Stage.BAKE, need=Need(base_mib=1500),
-             version=7, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=impostors.nothing_to_bake,
+             version=8, queue=Queue.GL, inputs=(_S, _H, _R, _P), skip=impostors.nothing_to_bake,
              plan=impostors.bake_plan, run=impostors.bake, merge=impostors.bake_merge,
              reads=(_CAMERA, _QUALITY, "placement.candidates", "placement.far_m")),
         Step(stage=Stage.REPAIR, need=Need(base_mib=900),

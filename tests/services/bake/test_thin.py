@@ -128,3 +128,10 @@ def test_textures_beyond_what_is_held_are_the_same_in_a_file(monkeypatch):
         np.testing.assert_array_equal(a, b)
         assert a.dtype == b.dtype
         assert b.flags.writeable
+
+
+def test_a_sheet_of_many_draw_calls_is_that_of_one(gl, monkeypatch):
+    """Drivers may read a buffer after they were told to draw from it: nothing is written to it before they have."""
+    whole = pack_dataclass(dataclasses.replace(bake(field(100), [0]), renderer=""))
+    monkeypatch.setattr("farfield.bake.gl.record.BLOCKS", 512)
+    assert pack_dataclass(dataclasses.replace(bake(field(100), [0], "egl"), renderer="")) == whole
