@@ -159,6 +159,16 @@ def test_only_the_owner_reads_the_key_and_nobody_else_is_let_in(served):
     assert "already" in again.stderr
 
 
+def test_an_open_connection_is_answered_without_waiting_for_acknowledgements(served):
+    """With Nagle's algorithm every answer after the first few takes the 40 ms of a delayed acknowledgement, however fast."""
+    seconds = []
+    for _ in range(40):
+        began = time.perf_counter()
+        assert served.client.get("/livez").status_code == 200
+        seconds.append(time.perf_counter() - began)
+    assert min(seconds[20:]) < 0.035, f"{min(seconds[20:]):.3f} s at best"
+
+
 def test_nothing_listens_beyond_loopback_unasked(tmp_path):
     refused = subprocess.run(
         [*FARFIELD, "serve", "--host", "0.0.0.0", "--data", str(tmp_path)], capture_output=True, text=True, timeout=30
