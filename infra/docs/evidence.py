@@ -36,7 +36,7 @@ class Scene:
     file: str = ""
     settings: str = ""
     make: Callable[[Path, Path], None] | None = None
-    boxes: int | None = None  # of the view space: `--boxes`
+    flags: tuple[str, ...] = ()  # of the command
 
 
 def _space(low: list[float], high: list[float], cell_m: float, *more: str) -> str:
@@ -50,6 +50,18 @@ def _city(scene: Path, settings: Path) -> None:
     import san_francisco
 
     san_francisco.build(scene, settings)
+
+
+def _town(scene: Path, settings: Path) -> None:
+    sys.path.insert(0, str(ROOT / "tests"))
+    from farfield.scene.write import write_glb
+    from towns import town
+
+    scene.write_bytes(write_glb(town(60, view_m=24)))
+    low, high = [-12.0, 1.0, -12.0], [12.0, 3.0, 12.0]
+    lines = ['budget = "24 calls"', "camera.width = 320", "camera.height = 180", "placement.far_m = 25.0"]
+    space = _space(low, high, 12.0).replace('"off"', '"sampled"')
+    settings.write_text("\n".join([*lines, space]), encoding="utf-8")
 
 
 def _rainier(scene: Path, settings: Path) -> None:
@@ -79,13 +91,15 @@ def _rainier(scene: Path, settings: Path) -> None:
 
 CALLS = 'budget = "{} calls"\n'
 PLACES = {
-    "san-francisco": Scene(title="San Francisco, the demo city", make=_city, boxes=4),
+    "san-francisco": Scene(title="San Francisco, the demo city", make=_city, flags=("--boxes", "4")),
     "munich": Scene(title="Munich", file="munich-osm/scene.glb",
                     settings=CALLS.format(400) + _space([0, 1.5, -108], [32, 1.8, -76], 16)),
     "bim": Scene(title="An apartment building, every part apart (BIM)", file="schependomlaan-bim/scene.glb",
                  settings=CALLS.format(900) + _space([24, 2.0, -14], [30, 2.3, -8], 3)),
     "game-world": Scene(title="A game world", file="folio2025-world/scene.glb",
                         settings=CALLS.format(250) + _space([-8, 3, -8], [8, 4, 8], 8)),
+    "town": Scene(title="A made-up town of 60 houses, to see that all rows work", make=_town,
+                  flags=("--frames", "12", "--passes", "2", "--pictures", "3")),
     "rainier": Scene(title="Mount Rainier's heightfield as a mesh", make=_rainier),
 }  # fmt: skip
 
@@ -105,7 +119,7 @@ def run(name: str, more: list[str]) -> int:
         settings.write_text(place.settings + "\n", encoding="utf-8")
         scene = SCENES / place.file
     words = [FARFIELD, "experiment", "compare", str(scene), "--settings", str(settings), "--out", str(folder), *more]
-    return subprocess.run(words + (["--boxes", str(place.boxes)] if place.boxes else []), check=False).returncode
+    return subprocess.run([*words, *place.flags], check=False).returncode
 
 
 def page() -> int:
@@ -165,7 +179,7 @@ def table(section: dict[str, Any]) -> str:
 
     def cell(row: dict[str, Any], column: dict[str, Any]) -> str:
         value = row.get(column["key"])
-        if isinstance(value, float):
+        if isinstance(value, float) or (isinstance(value, int) and column["digits"] is not None):
             return f"{value:,.{2 if column['digits'] is None else column['digits']}f}"
         return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value).replace("|", "/")
 
