@@ -21,10 +21,15 @@ export function heldBytes(manifest: Manifest): Caps {
   };
 }
 
-/** `memoryMb`: all of it together, shared out as the placement is made; null: what suits most devices. */
+/**
+ * `memoryMb`: all of it together; null: what suits most devices. The level comes first, up to half: without impostors a view
+ * is slow, without geometry it is boxes. Chunks and pages share the rest as the placement is made.
+ */
 export function capsOf(manifest: Manifest, memoryMb: number | null): Caps {
   if (memoryMb === null || !(memoryMb > 0)) return DEFAULT;
   const held = heldBytes(manifest);
-  const share = (memoryMb * 1e6) / Math.max(1, held.chunks + held.pages + held.level);
-  return { chunks: share * held.chunks, pages: share * held.pages, level: share * held.level };
+  const all = memoryMb * 1e6;
+  const level = Math.min(held.level, all / 2);
+  const share = (all - level) / Math.max(1, held.chunks + held.pages);
+  return { chunks: share * held.chunks, pages: share * held.pages, level };
 }
