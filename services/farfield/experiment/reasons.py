@@ -15,7 +15,7 @@ Facts = Mapping[str, Any]
 def compare(test: "Test", facts: Mapping[str, Facts]) -> dict[str, Any]:
     """Return the row of a test: what it came to, beside the paper's, with `direction` and, where that differs, `why`.
 
-    direction  "same", "other", "" (nothing to compare with)
+    direction  "same", "other", "nothing to compare" (the other weighs nothing), "" (held against nothing)
     """
     mine = facts[test.key]
     row: dict[str, Any] = {
@@ -31,7 +31,8 @@ def compare(test: "Test", facts: Mapping[str, Facts]) -> dict[str, Any]:
     row["ratio"] = mine["bytes"] / base["bytes"] if base["bytes"] else None
     if test.paper is not None:
         row["paper_ratio"] = test.paper[3] / (test.paper_base_mb or 14.1)
-        row["direction"] = "same" if same_direction(row["ratio"], row["paper_ratio"]) else "other"
+        same = same_direction(row["ratio"], row["paper_ratio"])
+        row["direction"] = "nothing to compare" if row["ratio"] is None else "same" if same else "other"
         if row["direction"] == "other":
             row["why"] = next(_reasons(test.key, mine, base, facts), UNEXPLAINED)
     return row
@@ -40,7 +41,7 @@ def compare(test: "Test", facts: Mapping[str, Facts]) -> dict[str, Any]:
 def same_direction(ours: float | None, paper: float) -> bool:
     """Return whether two ratios lie on the same side of 1; one within SAME of 1 agrees with one within 0.1 only."""
     if ours is None or ours <= 0:
-        return False
+        return ours is not None and paper < 1
     a, b = math.log(ours), math.log(paper)
     if abs(a) <= math.log1p(SAME) or abs(b) <= math.log1p(SAME):
         return abs(a) <= math.log1p(0.1) and abs(b) <= math.log1p(0.1)
@@ -56,8 +57,10 @@ def _reasons(key: str, mine: Facts, base: Facts, facts: Mapping[str, Facts]) -> 
     if own is not None and (said := own(mine, base, facts)) is not None:
         yield said
     if max(mine["hopeless_share"], base["hopeless_share"]) > 0.02:
-        yield (f"{mine['hopeless']:,} of {mine['problem_views']:,} problem views are hopeless here and {base['hopeless']:,} of "
-               f"{base['problem_views']:,} there: what cannot be saved takes no memory, so the two do not buy the same")
+        yield (
+            f"{mine['hopeless']:,} of {mine['problem_views']:,} problem views are hopeless here and {base['hopeless']:,} of "
+            f"{base['problem_views']:,} there: what cannot be saved takes no memory, so the two do not buy the same"
+        )
     grew = mine["bytes"] > base["bytes"]
     for name, said in (("overrun_mean", "mean overrun of a problem view"), ("seen_mean", "objects that a cell sees")):
         if base[name] and (mine[name] > base[name] * (1 + SAME)) == grew and abs(mine[name] / base[name] - 1) > SAME:
@@ -69,8 +72,10 @@ def _boxes(mine: Facts, base: Facts, facts: Mapping[str, Facts]) -> str | None:
     if both["boxes_share"] <= 0.5 and mine["bytes"] >= base["bytes"]:
         return None
     way = raw_boxes["bytes"] / raw_shafts["bytes"] if raw_shafts["bytes"] else math.nan
-    return (f"fitted boxes are the tighter view cells here: where both are on offer (test 1), {100 * both['boxes_share']:.0f} % "
-            f"of the impostors have one; unfitted, as the paper has them (pb over p), boxes weigh {way:.2f} of shafts")
+    return (
+        f"fitted boxes are the tighter view cells here: where both are on offer (test 1), {100 * both['boxes_share']:.0f} % "
+        f"of the impostors have one; unfitted, as the paper has them (pb over p), boxes weigh {way:.2f} of shafts"
+    )
 
 
 def _density(mine: Facts, base: Facts, facts: Mapping[str, Facts]) -> str | None:

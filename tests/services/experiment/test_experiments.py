@@ -73,6 +73,8 @@ def test_ratios_are_to_the_test_that_the_paper_compares_with():
     assert rows["13"]["ratio"] == 2.0 and rows["13"]["direction"] == "same"
     assert rows["16"]["ratio"] == 7.0 and rows["6"]["ratio"] == 1.0 and rows["6"]["direction"] == "other"
     assert rows["1"]["ratio"] is None and rows["1"]["direction"] == ""
+    empty = compare(next(t for t in sixteen() if t.key == "6"), facts_for(_1={"bytes": 0}))
+    assert empty["ratio"] is None and empty["direction"] == "nothing to compare"
 
 
 @pytest.mark.parametrize(
