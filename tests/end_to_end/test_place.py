@@ -35,7 +35,7 @@ def test_the_cut_out_is_placed_within_its_budget(placed):
     assert 300 < report["objects"] < 600
     assert report["impostors"] > 10 and report["problem_views"] > 100 and report["bytes"] > 0
     assert report == json.loads((folder / "report.json").read_text())
-    assert sorted(p.name for p in folder.iterdir()) == ["placement", "report.json", "scene.glb"]
+    assert sorted(p.name for p in folder.iterdir()) == ["base.ffc", "placement", "report.json", "scene.glb"]
     assert all(stage.keys() >= {"name", "seconds", "peak_bytes", "skipped"} for stage in report["stages"])
     assert Placement.open(folder).check() > 3
 
