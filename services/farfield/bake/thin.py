@@ -9,8 +9,8 @@ Method   Which piece shows in a texel, and at each of its points, is the least i
          Where hardly anything is dropped, what is kept is tried again each time that it has doubled.
 Errs     Never: nothing that shows is dropped. What is kept is bounded by the texels (17 triangles each at most), not by a
          number of bytes.
-Measured A field of 5 million triangles, 1280 x 720: 1,006 MiB of its own -> 334, and 2,447 -> 497 in the process that draws;
-         10.4 instead of 8.1 s of CPU. A city of 10 million: 406 and 241. See tests/benchmarks/results/bake.md.
+Measured A field of 5 million triangles, 1280 x 720: 1,006 MiB of its own -> 352, and 2,447 -> 275 in the process that draws;
+         10.8 instead of 8.1 s of CPU. A city of 10 million: 406 and 241. See tests/benchmarks/results/bake.md.
 """
 
 from collections.abc import Callable, Iterator
