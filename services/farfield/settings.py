@@ -222,7 +222,11 @@ def check(settings: Settings) -> None:
     need(1 <= s.placement.regions <= 64, "placement.regions", "must be in 1..64")
     limit_s = s.placement.time_limit_s
     base = s.placement.base
-    need(base is None or re.fullmatch("[0-9a-f]{64}", base) is not None, "placement.base", "must be a SHA-256 in hex digits")
+    need(
+        base is None or re.fullmatch("[0-9a-f]{64}", base) is not None,
+        "placement.base",
+        "must be a SHA-256 in hex digits",
+    )
     need(base is None or s.placement.candidates != "environment", "placement.base", "environment maps are placed whole")
     need(limit_s is None or limit_s > 0, "placement.time_limit_s", "must be a positive number of seconds")
 

@@ -43,7 +43,9 @@ def main() -> None:
     args.folder.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     name, cell_m, boxes = LEVELS[args.level]
-    level = read_scene(SCENES / name / "scene.glb", settings=Settings(view_space=ViewSpaceSettings(cell_m=cell_m, boxes=boxes)))
+    level = read_scene(
+        SCENES / name / "scene.glb", settings=Settings(view_space=ViewSpaceSettings(cell_m=cell_m, boxes=boxes))
+    )
     cells = build_cells(level.view_boxes, level.cell_m)
     settings, nodes = Settings(), plan_shards(cells)
     some = sorted(np.random.default_rng(0).permutation(nodes)[: args.shards].tolist())
@@ -56,7 +58,9 @@ def main() -> None:
         start = time.process_time()
         sampler = Sampler(level, cells, node, seed=settings.seed)
         sampler.run(rays=settings.visibility.rays, missed_ppm=settings.visibility.missed_ppm)
-        write_parts(dataclass_parts(sampler.sightings(mode="sampled", seen_share=None)), args.folder / f"sampled-{node}.ffc")
+        write_parts(
+            dataclass_parts(sampler.sightings(mode="sampled", seen_share=None)), args.folder / f"sampled-{node}.ffc"
+        )
         sampled = time.process_time() - start
         sampler.keep(conservative.prove(level, cells, node, sampler.witnessed()))
         found = sampler.sightings(mode="conservative", seen_share=None, occluders=conservative.reasons(level, cells))
@@ -90,7 +94,10 @@ def main() -> None:
     attacked = rng.permutation(own)[: args.attacked]
     for cell in attacked:
         wrong += attack.violations(cells.cell_box[cell], keep[cell], RAYS)[0]
-    print(f"attack: {len(attacked)} cells, {len(attacked) * RAYS:,} segments, {wrong} reached what was dropped", flush=True)
+    print(
+        f"attack: {len(attacked)} cells, {len(attacked) * RAYS:,} segments, {wrong} reached what was dropped",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

@@ -19,7 +19,13 @@ PAGES = [
     "/storage",
     "/devices",
 ]
-READY = {"/jobs": ".jt tbody tr", "/jobs/JOB": "#hopeless", "/workers": ".ops tbody tr", "/storage": "#kh", "/devices": "#dh"}
+READY = {
+    "/jobs": ".jt tbody tr",
+    "/jobs/JOB": "#hopeless",
+    "/workers": ".ops tbody tr",
+    "/storage": "#kh",
+    "/devices": "#dh",
+}
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 BY_LOOK = ["color-contrast", "scrollable-region-focusable", "target-size"]  # what theme and width may change
 

@@ -42,7 +42,9 @@ CheckedSettings = Annotated[Settings, WrapValidator(lambda value, inner: _checke
 def _checked(value: Any) -> Settings:
     settings = from_mapping(value)
     if settings.placement.base is not None:  # else the job would end as BaseUnfit, minutes later
-        raise SettingsInvalid("placement.base", "a job places from scratch; `farfield place --from` starts from a placement")
+        raise SettingsInvalid(
+            "placement.base", "a job places from scratch; `farfield place --from` starts from a placement"
+        )
     return settings
 
 

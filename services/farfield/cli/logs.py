@@ -43,7 +43,9 @@ def _print(kind: str, data: dict[str, Any], as_json: bool) -> None:
     what = " ".join(str(data[key]) for key in ("stage", "kind", "ordinal", "state") if data.get(key) is not None)
     error = data.get("error") or {}
     if kind == "progress" and "bytes" in data:
-        what += f" {data['bytes'] / 1e6:.1f} MB chosen" + (f", {data['unsolved']} views unsolved" if "unsolved" in data else "")
+        what += f" {data['bytes'] / 1e6:.1f} MB chosen" + (
+            f", {data['unsolved']} views unsolved" if "unsolved" in data else ""
+        )
     more = [
         f"skipped: {data['skipped']}" if data.get("skipped") else "",
         f"verdict {data['verdict']}" if data.get("verdict") else "",

@@ -28,7 +28,9 @@ class Inputs:
     digests: Mapping[Stage, str]  # SHA-256 (hex) of each artifact; Stage.SCENE before it ran: of the scene file
     scene_file: Path | None = None
     checkpoint: Path | None = None  # a file that outlives a killed run and is named by the shard's key, if there is one
-    tell: Callable[[dict[str, Any]], None] | None = None  # hears how far a long shard is; shapes nothing, may be called often
+    tell: Callable[[dict[str, Any]], None] | None = (
+        None  # hears how far a long shard is; shapes nothing, may be called often
+    )
     base: Path | None = None  # the folder of the job whose placement `placement.base` names
 
     def get(self, stage: Stage) -> Any:
