@@ -225,7 +225,8 @@ def _row(way: Way, ran: Ran | str, drawn: dict[str, Any] | str, settings: Settin
         "worst_ms": max(ms), "p99_ms": percentile(ms, 0.99), "median_ms": percentile(ms, 0.5),
         "worst_calls": max(f["calls"] for f in drawn["frames"]), "worst_parts": max(f["parts"] for f in drawn["frames"]),
         "worst_triangles": max(f["triangles"] for f in drawn["frames"]), "over": sum(s > budget.amount for s in spent),
-        "frames": len(ms), "resident_mb": drawn["bytes"] / 1e6, "flip": sum(flips) / len(flips) if flips else None, "worst_flip": max(flips, default=None),
+        "frames": len(ms), "resident_mb": drawn["bytes"] / 1e6, "flip": sum(flips) / len(flips) if flips else None,
+        "worst_flip": max(flips, default=None),
         "seconds": None if taken is None else taken + in_page, "file_mb": stored / 1e6,
         "said": drawn["said"] + (f"; {drawn['fetched']} frames had to fetch again" if drawn["fetched"] else ""),
     }  # fmt: skip

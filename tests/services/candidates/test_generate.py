@@ -1,7 +1,6 @@
 """Candidates against the plain loops, and what every consumer relies on."""
 
 import dataclasses
-
 from dataclasses import replace
 
 import numpy as np
