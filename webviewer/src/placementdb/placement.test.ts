@@ -1,8 +1,8 @@
 /** The same golden trees and answers as tests/services/placementdb: both readers agree, or one of them is wrong. */
 import { existsSync, readFileSync } from "node:fs";
 import { join, resolve } from "node:path";
-import { inflateSync } from "node:zlib";
-import { describe, expect, it } from "vitest";
+import { deflateSync, inflateSync } from "node:zlib";
+import { describe, expect, it, vi } from "vitest";
 import { unpack } from "./columns";
 import { Placement, viewsServed, type FetchBytes } from "./placement";
 import { sha256, sha256Plain } from "./sha256";
@@ -155,6 +155,34 @@ describe("the container", () => {
         }
       }
     }
+  });
+  it("stops inflating where a file becomes longer than the manifest says", async () => {
+    let inflated = 0;
+    class Counted {
+      readonly readable: ReadableStream;
+      readonly writable: WritableStream;
+      constructor(format: CompressionFormat) {
+        const { readable, writable } = new RealStream(format);
+        const count = new TransformStream<Uint8Array>({
+          transform(part, out) {
+            inflated += part.length;
+            out.enqueue(part);
+          },
+        });
+        this.writable = writable;
+        this.readable = readable.pipeThrough(count);
+      }
+    }
+    const RealStream = DecompressionStream;
+    vi.stubGlobal("DecompressionStream", Counted);
+    try {
+      const bomb = new Uint8Array(deflateSync(new Uint8Array(64e6)));
+      await expect(unpackFile(bomb, "x.ffz", 1000)).rejects.toMatchObject({ code: "ColumnsAltered", message: expect.stringContaining("1000 bytes") });
+    } finally {
+      vi.unstubAllGlobals();
+    }
+    expect(inflated).toBeGreaterThan(1000);
+    expect(inflated).toBeLessThan(4e6);
   });
   it("digests alike with and without crypto.subtle", async () => {
     for (const n of [0, 1, 55, 56, 63, 64, 65, 1000]) {

@@ -21,17 +21,24 @@ export async function unpackFile(bytes: Uint8Array, where: string, expanded?: nu
   return container;
 }
 
-/** Its digest was checked before: what inflates is what was written. */
+/** Stops as soon as more comes out than `expanded`: a small file may inflate to a thousand times its size. */
 async function inflate(bytes: Uint8Array, where: string, expanded: number): Promise<Uint8Array> {
-  const stream = new Blob([bytes as Uint8Array<ArrayBuffer>]).stream().pipeThrough(new DecompressionStream("deflate"));
+  let length = 0;
+  const limit = new TransformStream<Uint8Array, Uint8Array>({
+    transform(part, out) {
+      length += part.length;
+      if (length > expanded) throw new RangeError("too long");
+      out.enqueue(part);
+    },
+  });
+  const inflated = new Blob([bytes as Uint8Array<ArrayBuffer>]).stream().pipeThrough(new DecompressionStream("deflate")).pipeThrough(limit);
   let out: Uint8Array;
   try {
-    out = new Uint8Array(await new Response(stream).arrayBuffer());
+    out = new Uint8Array(await new Response(inflated).arrayBuffer());
   } catch {
-    throw new ColumnsAltered(where, "it does not inflate");
+    throw new ColumnsAltered(where, length > expanded ? `it does not inflate to ${expanded} bytes` : "it does not inflate");
   }
   if (out.length < expanded) throw new ColumnsTruncated(where, out.length, expanded);
-  if (out.length > expanded) throw new ColumnsAltered(where, `it does not inflate to ${expanded} bytes`);
   return out;
 }
 
