@@ -8,7 +8,6 @@ import type { Traffic } from "../stream/files";
 import { Streamer } from "../stream/streamer";
 import { byId, setShown, setText } from "../ui/dom";
 import { TOGGLE_LETTERS, readShared, sharedFragment } from "../ui/share_link";
-import { toggleTheme } from "../ui/theme";
 import { reasonOf, type FrameFacts } from "../walk/log";
 import { Walker } from "./camera";
 import { Controls } from "./controls";
@@ -18,19 +17,13 @@ import { readHeat } from "./heat";
 import { FrameClock } from "./frame_clock";
 import { Overlay, type Counts } from "./overlay";
 import { Panorama } from "./panorama";
+import { connectToolbar, pressKey, showToolbar } from "./toolbar";
 import { Walks } from "./walks";
 import { WorstViews, readWorstViews, type WorstView } from "./worst_views";
 
 const OVERLAY_EVERY_MS = 100;
 const PLAN_EVERY_MS = 250;
 const REST_MS = 300;
-const TOGGLES: Record<string, keyof Modes> = {
-  "t-impostors": "impostors", "t-split": "split", "t-beside": "beside", "t-layers": "layers", "t-heat": "heat", "t-cells": "cells", "t-freeze": "freeze",
-};
-const KEYS: Record<string, string> = {
-  i: "t-impostors", x: "t-split", b: "t-beside", e: "t-difference", l: "t-layers", m: "t-heat", c: "t-cells", f: "t-freeze", g: "t-fly", r: "b-record",
-  p: "b-replay", y: "b-link",
-};
 const LETTERS: Record<string, keyof Modes> = { i: "impostors", x: "split", b: "beside", l: "layers", m: "heat", c: "cells" };
 
 export type Switches = Partial<Modes & { free: boolean; overlay: boolean; difference: boolean }>;
@@ -41,7 +34,7 @@ export class App {
   readonly counts: Counts = { promised: 0, over: 0, overForStreaming: 0, incomplete: 0 };
   readonly walks: Walks;
   readonly difference: Difference;
-  private readonly worst: WorstViews;
+  readonly worst: WorstViews;
   private readonly controls: Controls;
   private readonly clock: FrameClock;
   private readonly overlay: Overlay;
@@ -62,7 +55,7 @@ export class App {
     readonly engine: Engine,
     readonly placement: Placement,
     private readonly traffic: Traffic,
-    private readonly canvas: HTMLCanvasElement,
+    readonly canvas: HTMLCanvasElement,
     id: string,
   ) {
     this.walker = new Walker(placement.manifest.view_space);
@@ -74,7 +67,7 @@ export class App {
     this.difference = new Difference(engine);
     this.worst = new WorstViews(placement.manifest, id, (view) => this.goTo(view));
     this.controls = new Controls(canvas, byId<SVGElement>("stick"), this.walker, {
-      key: (key) => this.key(key),
+      key: (key) => pressKey(this, key),
       tap: (x, y) => this.pick(x, y),
       moved: () => {
         this.movedAt = performance.now();
@@ -82,7 +75,7 @@ export class App {
         this.touch();
       },
     });
-    this.connect();
+    connectToolbar(this);
     new ResizeObserver(() => this.fit()).observe(byId("main"));
     this.fit();
     requestAnimationFrame(this.frame);
@@ -193,9 +186,7 @@ export class App {
       for (const e of document.querySelectorAll<HTMLElement>(".overlay:not(#picked)")) e.hidden = !overlay;
       if (!overlay) setShown("picked", false); // shown again only for what is picked again
     }
-    for (const [id, mode] of Object.entries(TOGGLES)) byId<HTMLInputElement>(id).checked = Boolean(this.engine.modes[mode]);
-    byId<HTMLInputElement>("t-fly").checked = this.walker.free;
-    byId<HTMLInputElement>("t-difference").checked = this.difference.on;
+    showToolbar(this);
     setShown("heat", this.engine.modes.heat);
     if (!this.engine.modes.layers && !this.engine.modes.heat) setShown("picked", false);
     this.placeSplit();
@@ -312,7 +303,8 @@ export class App {
     setText("outside-key", lost ? "G" : "F");
   }
 
-  private pick(x: number, y: number): void {
+  /** Names the impostor at a point of the picture, (0, 0) its top left, where layers or texels are shown. */
+  pick(x: number, y: number): void {
     if (!this.engine.modes.layers && !this.engine.modes.heat) return;
     const { width, height } = this.canvas;
     const ids = this.engine.drawIds(this.walker.position, this.walker.direction);
@@ -335,64 +327,7 @@ export class App {
     this.overlay.writePicked(id, index, levels, Math.sqrt(far), triangles, viewsServed(this.placement, id));
   }
 
-  private key(key: string): boolean {
-    if (KEYS[key]) {
-      byId<HTMLInputElement>(KEYS[key]).click();
-    } else if (key >= "1" && key <= "9") {
-      return this.worst.open(Number(key) - 1);
-    } else if (key === "Enter" && document.activeElement === this.canvas) {
-      this.pick(0.5, 0.5);
-    } else if (key === "h") {
-      const hidden = Boolean(byId("main").querySelector<HTMLElement>(".overlay")!.hidden);
-      this.setMode({ overlay: hidden });
-    } else if (key === "t") {
-      byId("b-theme").click();
-    } else if (key === "?") {
-      byId("b-keys").click();
-    } else if (key === "Escape") {
-      setShown("keys", false);
-      byId("b-keys").setAttribute("aria-expanded", "false");
-    } else {
-      return false;
-    }
-    return true;
-  }
-
-  private connect(): void {
-    for (const [id, mode] of Object.entries(TOGGLES)) {
-      byId<HTMLInputElement>(id).addEventListener("change", (e) => this.setMode({ [mode]: (e.target as HTMLInputElement).checked }));
-    }
-    byId<HTMLInputElement>("t-fly").addEventListener("change", (e) => this.setMode({ free: (e.target as HTMLInputElement).checked }));
-    byId<HTMLInputElement>("t-difference").addEventListener("change", (e) => this.setMode({ difference: (e.target as HTMLInputElement).checked }));
-    byId("b-link").addEventListener("click", () => void this.copyLink());
-    byId("b-theme").addEventListener("click", () => {
-      toggleTheme();
-      this.engine.setHeat(readHeat());
-      this.touch(); // the difference has the theme's colours
-    });
-    byId("b-keys").addEventListener("click", () => {
-      const shown = Boolean(byId("keys").hidden);
-      setShown("keys", shown);
-      byId("b-keys").setAttribute("aria-expanded", String(shown));
-    });
-    byId("notice-button").addEventListener("click", () => location.reload());
-    const split = byId("split");
-    const move = (at: number): void => this.setMode({ splitAt: Math.max(0.02, Math.min(0.98, at)) });
-    split.addEventListener("pointerdown", (e) => split.setPointerCapture(e.pointerId));
-    split.addEventListener("pointermove", (e) => {
-      if (!split.hasPointerCapture(e.pointerId)) return;
-      const r = this.canvas.getBoundingClientRect();
-      move((e.clientX - r.left) / r.width);
-    });
-    split.addEventListener("keydown", (e) => {
-      if (e.key !== "ArrowLeft" && e.key !== "ArrowRight") return;
-      e.stopPropagation();
-      e.preventDefault();
-      move(this.engine.modes.splitAt + (e.key === "ArrowLeft" ? -0.01 : 0.01));
-    });
-  }
-
-  private async copyLink(): Promise<void> {
+  async copyLink(): Promise<void> {
     history.replaceState(null, "", this.shared());
     const copied = await navigator.clipboard?.writeText(location.href).then(() => true, () => false);
     this.walks.say(copied ? "Link copied: it holds view, toggles and walk." : "The address now holds view, toggles and walk: copy it.");
