@@ -1,7 +1,10 @@
 """Short shards of a large stage go in groups: fewer transactions, and every guarantee that a shard alone has."""
 
+from contextlib import contextmanager
+
 import pytest
 import sqlalchemy as sa
+from farfield.errors import StoreUnavailable
 from farfield.store import events, groups, jobs, progress, shards
 from farfield.store.engine import read
 from farfield.store.fair import Host, next_shard
@@ -164,3 +167,47 @@ def test_a_cancelled_job_takes_nothing_of_a_group(in_process, grouping):
     assert groups.commit(in_process.engine, in_process.artifacts, [done(in_process, h) for h in group]) == ("lost", [])
     assert groups.give_back(in_process.engine, group) == 0
     assert {r.state for i, r in rows(in_process, job_id).items() if i in ids} == {"cancelled"}
+
+
+def test_a_store_that_goes_away_before_the_commit_costs_no_attempt(in_process, grouping, monkeypatch):
+    job_id, ids = many_ready(in_process)
+
+    def away(engine, artifacts, done):
+        raise StoreUnavailable("the bucket does not answer")
+
+    with monkeypatch.context() as gone:
+        gone.setattr(groups, "commit", away)
+        work.pace.note(rows(in_process, job_id)[ids[0]].stage_id, 0.001)
+        in_process.work(progress.Message(ids[0], "cpu"))
+    found = [rows(in_process, job_id)[i] for i in ids]
+    assert {(r.state, r.attempt) for r in found} == {("ready", 0)}, "nothing is held by who works on nothing"
+    assert [r.put_off for r in found[:2]] == [1, 0]
+    with in_process.engine.begin() as tx:
+        tx.execute(sa.update(shard).values(ready_at=0.0))
+    in_process.go_on()
+    assert in_process.job(job_id).state == "done"
+
+
+def test_a_group_that_is_lost_while_one_of_it_fails_blames_nobody(in_process, grouping, monkeypatch):
+    """The lease ends after the failure and before it is told: which of the group failed is not the first."""
+    job_id, ids = many_ready(in_process)
+    compute = work._compute
+
+    def failing(pipeline, settings, call, *more, **named):
+        if call.stage == "viewspace" and call.params == 2:
+            raise RuntimeError("once")
+        return compute(pipeline, settings, call, *more, **named)
+
+    @contextmanager
+    def lost(engine, group, settings, **more):
+        yield
+        raise work.ShardStopped
+
+    with monkeypatch.context() as at_its_end:
+        at_its_end.setattr(work, "_compute", failing)
+        at_its_end.setattr(work, "leased", lost)
+        work.pace.note(rows(in_process, job_id)[ids[0]].stage_id, 0.001)
+        in_process.work(progress.Message(ids[0], "cpu"))
+    assert {(r.state, r.attempt, r.error) for r in (rows(in_process, job_id)[i] for i in ids)} == {("ready", 0, None)}
+    in_process.go_on()
+    assert in_process.job(job_id).state == "done"

@@ -130,9 +130,15 @@ def _work_group(
                 failed = error
     except ShardStopped:
         done.clear()
+        failed = None  # whose it was is not known without `done`, and it may be another's by now
     if done:
-        outcome, written = patiently(lambda: groups.commit(engine, artifacts, done))
-        pace.note(group[0].stage_id, (time.perf_counter() - began) / len(done))
+        try:
+            outcome, written = patiently(lambda: groups.commit(engine, artifacts, done))
+        except Exception as error:  # the store went away: the first has failed, as it would have alone
+            failed, written = error, []
+            done.clear()
+        else:
+            pace.note(group[0].stage_id, (time.perf_counter() - began) / len(done))
         for one in written:
             with telemetry.here.shard(one.held):
                 telemetry.here.done(one.held, seconds=one.seconds, n_bytes=one.n_bytes, cached=one.cached)
