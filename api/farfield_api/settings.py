@@ -45,6 +45,7 @@ class ApiSettings:
     rate_store: str = "memory://"  # where they are counted; a Redis URL where there are several API processes
     quota: Quota = NO_QUOTA  # of tenants that have none of their own
     webhook_networks: tuple[Network, ...] = ()  # networks that webhooks may reach although they are not public
+    webhook_key: str | None = None  # seals their secrets in the database; the reconciler's, too
     poll_s: float = 0.25  # how often the streams look for new events
     migrations: Path = MIGRATIONS  # the versions of the tables that this code knows
     metrics_port: int | None = None  # also answer /metrics there without a key; None: only with one
@@ -82,5 +83,6 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
         rate_store=environment.get("FARFIELD_RATE_STORE", "memory://"),
         quota=Quota(**quota),
         webhook_networks=networks(environment.get("FARFIELD_WEBHOOK_NETWORKS", "")),
+        webhook_key=environment.get("FARFIELD_WEBHOOK_KEY") or None,
         cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
     )

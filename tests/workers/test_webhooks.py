@@ -1,5 +1,6 @@
 """Deliveries: written with their event, signed, tried again, never led inside, and not lost with who sends them."""
 
+import base64
 import http.server
 import ipaddress
 import json
@@ -10,13 +11,14 @@ import time
 import pytest
 import sqlalchemy as sa
 from farfield import webhooks as rules
-from farfield.errors import SignatureInvalid, WebhookAddressRefused
-from farfield.store import jobs, webhooks
+from farfield.errors import ServiceError, SignatureInvalid, WebhookAddressRefused
+from farfield.store import jobs, sealed, webhooks
 from farfield.store.engine import now, read, write
-from farfield.store.tables import webhook_delivery
+from farfield.store.tables import webhook, webhook_delivery
 from farfield_workers.webhooks import Postman, post
 
 HERE = rules.networks("127.0.0.0/8")
+KEY = "5a" * 32
 
 
 class Receiver(http.server.BaseHTTPRequestHandler):
@@ -299,3 +301,68 @@ def test_nothing_special_is_public_however_it_is_wrapped():
                     int(address),
                 ):
                     assert not rules.is_public(ipaddress.IPv6Address(wrapped)), (address, hex(wrapped))  # fmt: skip
+
+
+def stored(bench):
+    with read(bench.engine) as tx:
+        return tx.execute(sa.select(webhook.c.secret, webhook.c.old_secret)).one()
+
+
+def kept_plain(secret):
+    """What of the secret would give it away: its text, or its bytes in another alphabet."""
+    return {secret, secret.removeprefix(rules.PREFIX), base64.b64decode(secret.removeprefix(rules.PREFIX)).hex()}
+
+
+def test_secrets_are_sealed_in_the_database_and_sign_as_before(bench, receiver):
+    facts = {"name": "n", "url": receiver.url, "events": ("queued",), "every_job": True}
+    hook_id, first = webhooks.create(bench.engine, bench.tenant_id, **facts, key=KEY)
+    fresh = webhooks.rotate(bench.engine, bench.tenant_id, hook_id, key=KEY)
+    for text, secret in zip(stored(bench), (fresh, first), strict=True):
+        assert text.startswith(sealed.SEALED) and not any(part in text for part in kept_plain(secret))
+        assert sealed.unseal(KEY, text) == secret
+    bench.submit()
+    assert send(Postman(bench.engine, HERE, key=KEY)) == 1
+    ((_, headers, body),) = receiver.got
+    for secret in (first, fresh):
+        rules.verify(secret, headers, body)
+
+
+def test_the_same_secret_is_never_stored_alike_and_nothing_of_it_can_be_altered():
+    secret = rules.new_secret()
+    one, two = sealed.seal(KEY, secret), sealed.seal(KEY, secret)
+    assert one != two and max(len(one), len(two)) <= webhook.c.secret.type.length
+    data = bytearray(base64.b64decode(one.removeprefix(sealed.SEALED)))
+    for place in range(len(data)):
+        data[place] ^= 1
+        with pytest.raises(ServiceError, match="another"):
+            sealed.unseal(KEY, sealed.SEALED + base64.b64encode(data).decode())
+        data[place] ^= 1
+    assert sealed.unseal(KEY, sealed.SEALED + base64.b64encode(data).decode()) == secret
+
+
+@pytest.mark.parametrize("key", [None, "other"])
+def test_without_its_key_nothing_is_sent_and_nothing_is_lost(bench, receiver, key):
+    facts = {"name": "n", "url": receiver.url, "events": ("queued",), "every_job": True}
+    _, secret = webhooks.create(bench.engine, bench.tenant_id, **facts, key=KEY)
+    bench.submit()
+    assert send(Postman(bench.engine, HERE, key=key)) == 1
+    assert receiver.got == []
+    assert [(row.state, row.attempt) for row in rows(bench)] == [("pending", 1)]
+    make_due(bench)
+    assert send(Postman(bench.engine, HERE, key=KEY)) == 1
+    rules.verify(secret, *receiver.got[0][1:])
+
+
+def test_what_lay_plain_is_sealed_once(bench, receiver, hook):
+    fresh = webhooks.rotate(bench.engine, bench.tenant_id, hook[0])
+    assert tuple(stored(bench)) == (fresh, hook[1])
+    assert sealed.seal_all(bench.engine, None) == 0
+    assert tuple(stored(bench)) == (fresh, hook[1])
+    assert sealed.seal_all(bench.engine, KEY) == 1
+    after = tuple(stored(bench))
+    assert [sealed.unseal(KEY, text) for text in after] == [fresh, hook[1]]
+    assert all(text.startswith(sealed.SEALED) for text in after)
+    assert sealed.seal_all(bench.engine, KEY) == 0 and tuple(stored(bench)) == after
+    bench.submit()
+    assert send(Postman(bench.engine, HERE, key=KEY)) == 1
+    rules.verify(fresh, *receiver.got[0][1:])

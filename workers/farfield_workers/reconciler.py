@@ -45,7 +45,7 @@ def main() -> None:
         signal.signal(number, lambda *_: stop.set())
     upkeep = Upkeep(engine(), artifacts(), from_environment())
     upkeep.start()
-    postman = Postman(engine(), settings().webhook_networks)
+    postman = Postman(engine(), settings().webhook_networks, key=settings().webhook_key)
     threading.Thread(target=postman.run, args=(stop,), name="webhooks", daemon=True).start()
     while not stop.wait(EVERY_S):
         try:

@@ -1,6 +1,6 @@
 """The launcher behind `farfield serve`: database, key, broker, API, workers and reconciler on one machine, one command.
 
-State lives in DATA: farfield.sqlite, artifacts/, api-key, secret, log/. Only the URLs differ from a fleet, where an
+State lives in DATA: farfield.sqlite, artifacts/, api-key, secret, webhook-key, log/. Only the URLs differ from a fleet, where an
 orchestrator starts each of these processes. The launcher owns the listening socket, so that an API that dies and
 comes back refuses nobody. Workers are started with `-P solo`: a baker's OpenGL context must not exist in a parent.
 """
@@ -105,6 +105,7 @@ def serve(options: Options) -> int:
                 "FARFIELD_BROKER_URL": f"redis+socket://{broker}",
                 "FARFIELD_ARTIFACTS": str((options.data / "artifacts").resolve()),
                 "FARFIELD_SECRET": _secret(options.data / "secret"),
+                "FARFIELD_WEBHOOK_KEY": _secret(options.data / "webhook-key"),
                 "FARFIELD_WEB": os.environ.get("FARFIELD_WEB", str(ROOT / "webviewer" / "dist")),
                 "FARFIELD_PLACEMENTS": json.dumps({n: str(p.resolve()) for n, p in options.placements.items()}),
                 "FARFIELD_HOSTS": "*" if options.allow_remote else ",".join(_names(options.host)),
@@ -262,7 +263,7 @@ def _runtime(data: Path) -> Path:
 
 
 def _secret(path: Path) -> str:
-    """Return the secret that signs sessions, made on the first start."""
+    """Return the secret in this file, made on the first start: what signs sessions, what seals the secrets of webhooks."""
     if not path.exists():
         write_private(path, secrets.token_hex(32).encode())
     return path.read_text().strip()

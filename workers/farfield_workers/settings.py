@@ -31,6 +31,7 @@ class WorkerSettings:
     cache: Path | None = None  # where copies of remote artifacts lie; None: ~/.cache/farfield
     cache_bytes: int = CACHE_BYTES
     webhook_networks: tuple[Network, ...] = ()  # networks that webhooks may reach although they are not public
+    webhook_key: str | None = None  # with which the API has sealed their secrets
 
 
 def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSettings:
@@ -50,6 +51,7 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> WorkerSetti
         cache=Path(environment["FARFIELD_CACHE"]) if environment.get("FARFIELD_CACHE") else None,
         cache_bytes=int(environment.get("FARFIELD_CACHE_BYTES", CACHE_BYTES)),
         webhook_networks=networks(environment.get("FARFIELD_WEBHOOK_NETWORKS", "")),
+        webhook_key=environment.get("FARFIELD_WEBHOOK_KEY") or None,
     )
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import httpcore
 import sqlalchemy as sa
 from farfield.errors import WebhookAddressRefused
-from farfield.store import webhooks
+from farfield.store import sealed, webhooks
 from farfield.store.webhooks import LEASE_S, Delivery
 from farfield.webhooks import Endpoint, Network, resolve, sign
 
@@ -39,9 +39,15 @@ assert DEADLINE_S < LEASE_S
 class Postman:
     """Delivers from one process; any number of processes may."""
 
-    def __init__(self, engine: sa.Engine, networks: Sequence[Network], *, trust: ssl.SSLContext | None = None) -> None:
-        """networks  that receivers may be in although they are not public; `trust`: instead of the system's roots"""
-        self.engine, self.networks = engine, networks
+    def __init__(
+        self, engine: sa.Engine, networks: Sequence[Network], *, key: str | None = None, trust: ssl.SSLContext | None = None
+    ) -> None:  # fmt: skip
+        """Deliver to receivers of the open Internet and of `networks`.
+
+        key    with which their secrets are sealed
+        trust  instead of the system's roots
+        """
+        self.engine, self.networks, self.key = engine, networks, key
         self.trust = trust or ssl.create_default_context()
         self._pool = ThreadPoolExecutor(SLOTS, thread_name_prefix="webhook")
         self._lock = threading.Lock()
@@ -56,6 +62,7 @@ class Postman:
                 if time.monotonic() > self._forget_at:
                     self._forget_at = time.monotonic() + FORGET_EVERY_S
                     webhooks.forget_old(self.engine)
+                    sealed.seal_all(self.engine, self.key)
             except sa.exc.SQLAlchemyError:
                 log.warning("webhooks wait: the database does not answer", exc_info=True)
         self._pool.shutdown(wait=False, cancel_futures=True)
@@ -87,7 +94,7 @@ class Postman:
     def _deliver(self, due: Delivery) -> None:
         status, error = None, None
         try:
-            status = post(resolve(due.url, self.networks), due, self.trust)
+            status = post(resolve(due.url, self.networks), due, self.trust, key=self.key)
         except WebhookAddressRefused as refused:
             error = str(refused)
         except (OSError, httpcore.NetworkError, httpcore.TimeoutException, httpcore.ProtocolError) as failed:
@@ -106,14 +113,14 @@ class Postman:
         log.info("delivery %s to webhook %s, attempt %d: %s", due.id, due.webhook_id, due.attempt, status or error)
 
 
-def post(to: Endpoint, due: Delivery, trust: ssl.SSLContext) -> int:
-    """Post the delivery and return the status of the answer. Raises OSError and httpcore's errors."""
+def post(to: Endpoint, due: Delivery, trust: ssl.SSLContext, *, key: str | None = None) -> int:
+    """Post the delivery and return the status of the answer. Raises OSError, httpcore's errors, and ServiceError."""
     shown = f"[{to.host}]" if ":" in to.host else to.host
     standard = 443 if to.secure else 80
     headers = {
         "host": shown if to.port == standard else f"{shown}:{to.port}", "user-agent": "farfield-webhooks/1",
         "content-type": "application/json", "content-length": str(len(due.body)),
-        **sign(due.secrets, due.id, due.body, at=int(time.time())),
+        **sign(due.secrets(key), due.id, due.body, at=int(time.time())),
     }  # fmt: skip
     scheme = b"https" if to.secure else b"http"
     url = httpcore.URL(scheme=scheme, host=to.host.encode(), port=to.port, target=to.target.encode())

@@ -64,7 +64,7 @@ def create(wanted: WebhookRequest, response: Response, caller: Submitter, servic
     addresses.resolve(wanted.url, service.settings.webhook_networks)
     webhook_id, secret = webhooks.create(
         service.engine, caller.tenant_id, name=wanted.name, url=wanted.url, events=wanted.events,
-        every_job=wanted.every_job,
+        every_job=wanted.every_job, key=service.settings.webhook_key,
     )  # fmt: skip
     response.headers.update({"location": f"/v1/webhooks/{webhook_id}", "cache-control": "no-store"})
     return NewWebhookReply(**_shown(webhooks.get(service.engine, caller.tenant_id, webhook_id)), secret=secret)
@@ -121,7 +121,7 @@ def delete(webhook_id: Id, request: Request, caller: Submitter, service: Service
 )  # fmt: skip
 def rotate(webhook_id: Id, response: Response, caller: Submitter, service: Service) -> NewWebhookReply:
     _may_have(caller, webhooks.get(service.engine, caller.tenant_id, webhook_id).every_job)
-    secret = webhooks.rotate(service.engine, caller.tenant_id, webhook_id)
+    secret = webhooks.rotate(service.engine, caller.tenant_id, webhook_id, key=service.settings.webhook_key)
     response.headers["cache-control"] = "no-store"
     return NewWebhookReply(**_shown(webhooks.get(service.engine, caller.tenant_id, webhook_id)), secret=secret)
 

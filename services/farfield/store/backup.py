@@ -5,7 +5,7 @@ Method   Blobs never change, so their time does not matter, only their presence.
          backup, which is the state at one moment; then copy the blobs that it names and are not yet there. A blob
          deleted in between (a job was deleted) is missing now: take the database again. Every blob is hashed on the way.
 Again    Into the same folder only what is new is copied; what the new database does not name is removed from it.
-Holds    farfield.sqlite, artifacts/, api-key, secret, backup.json (written last: a backup without it is not one). It holds
+Holds    farfield.sqlite, artifacts/, api-key, secret, webhook-key, backup.json (written last: a backup without it is not one). It holds
          levels and keys: keep it as safe as the service.
 """
 
@@ -23,7 +23,7 @@ from farfield.store.artifacts import LocalArtifacts, file_digest, sync_folder
 from farfield.store.collect import references
 
 DATABASE, ARTIFACTS, MANIFEST = "farfield.sqlite", "artifacts", "backup.json"
-PRIVATE = ("api-key", "secret")
+PRIVATE = ("api-key", "secret", "webhook-key")
 TRIES = 5
 Said = Callable[[str], object]
 

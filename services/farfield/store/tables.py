@@ -209,7 +209,7 @@ webhook = sa.Table(
     _of("tenant"),
     sa.Column("name", sa.String(100), nullable=False, server_default=""),
     sa.Column("url", sa.String(2000), nullable=False),
-    sa.Column("secret", sa.String(100), nullable=False),  # signs; as it is, because it must be used
+    sa.Column("secret", sa.String(100), nullable=False),  # signs; sealed (sealed.py), because it must be used
     sa.Column("old_secret", sa.String(100), nullable=True),  # signs too, until old_until
     _at("old_until"),
     sa.Column("events", sa.String(100), nullable=False, server_default="done failed cancelled"),  # of WEBHOOK_EVENTS

@@ -16,6 +16,7 @@ from farfield import webhooks
 from farfield.errors import DeliveryNotFound, QuotaExceeded, WebhookNotFound
 from farfield.store.engine import new_id, now, read, write
 from farfield.store.pages import Cursor, newest_first, owned
+from farfield.store.sealed import seal, unseal
 from farfield.store.tables import WEBHOOK_EVENTS, job, webhook, webhook_delivery
 
 BACKOFF_S = (5.0, 30.0, 120.0, 600.0, 1800.0, 3600.0, 7200.0, 14400.0, 28800.0)  # after 17 hours it has failed
@@ -33,17 +34,23 @@ class Delivery:
     id: str
     webhook_id: str
     url: str
-    secrets: tuple[str, ...]
+    sealed: tuple[str, ...]  # its secrets, as they are stored
     body: bytes
     attempt: int  # counted from 1
 
+    def secrets(self, key: str | None) -> tuple[str, ...]:
+        """Return what it is signed with. Raises ServiceError where `key` is not the one that they were sealed with."""
+        return tuple(unseal(key, stored) for stored in self.sealed)
+
 
 def create(
-    engine: sa.Engine, tenant_id: str, *, name: str, url: str, events: Collection[str], every_job: bool
-) -> tuple[str, str]:
+    engine: sa.Engine, tenant_id: str, *, name: str, url: str, events: Collection[str], every_job: bool,
+    key: str | None = None,
+) -> tuple[str, str]:  # fmt: skip
     """Return (id, secret) of a new webhook. `events`: of tables.WEBHOOK_EVENTS. Raises QuotaExceeded.
 
     every_job  told of all jobs of the tenant, or only of those that name it
+    key        that seals the secret (`sealed`); None: it is stored as it is
     """
     webhook_id, secret = new_id(), webhooks.new_secret()
     with write(engine) as tx:
@@ -52,7 +59,7 @@ def create(
             raise QuotaExceeded("webhooks", there, MAX_WEBHOOKS)
         tx.execute(
             sa.insert(webhook).values(
-                id=webhook_id, tenant_id=tenant_id, name=name, url=url, secret=secret, events=_words(events),
+                id=webhook_id, tenant_id=tenant_id, name=name, url=url, secret=seal(key, secret), events=_words(events),
                 every_job=every_job, active=True, created_at=now(),
             )
         )  # fmt: skip
@@ -89,14 +96,14 @@ def change(
             tx.execute(sa.update(webhook_delivery).where(late).values(next_at=now()))
 
 
-def rotate(engine: sa.Engine, tenant_id: str, webhook_id: str) -> str:
+def rotate(engine: sa.Engine, tenant_id: str, webhook_id: str, *, key: str | None = None) -> str:
     """Return a new secret; for a day deliveries are signed with the old one, too. Raises WebhookNotFound."""
     secret = webhooks.new_secret()
     with write(engine) as tx:
         _row(tx, tenant_id, webhook_id, lock=True)
         tx.execute(
             sa.update(webhook).where(webhook.c.id == webhook_id)
-            .values(old_secret=webhook.c.secret, old_until=now() + OLD_SECRET_S, secret=secret)
+            .values(old_secret=webhook.c.secret, old_until=now() + OLD_SECRET_S, secret=seal(key, secret))
         )  # fmt: skip
     return secret
 
@@ -177,7 +184,7 @@ def claim(engine: sa.Engine, *, but: Collection[str] = (), lease_s: float = LEAS
         ).one()  # fmt: skip
     keys = (due.secret, due.old_secret) if due.both and due.old_secret else (due.secret,)
     return Delivery(
-        id=row.id, webhook_id=row.webhook_id, url=due.url, secrets=keys, body=row.body.encode(), attempt=row.attempt
+        id=row.id, webhook_id=row.webhook_id, url=due.url, sealed=keys, body=row.body.encode(), attempt=row.attempt
     )
 
 
