@@ -92,11 +92,11 @@ def test_a_base_that_does_not_fit_is_refused(first, run, tmp_path):
     damaged = tmp_path / "damaged"
     shutil.copytree(first / "out", damaged)
     (damaged / "base.ffc").unlink()
-    assert "base.ffc cannot be read" in refused("--settings", first / "row.toml", "--from", damaged)
+    assert "base.ffc is missing" in refused("--settings", first / "row.toml", "--from", damaged)
     other = run(
         "place", first / "moved.glb", "--settings", first / "row.toml", "--workers", 1, "--out", tmp_path / "moved"
     )
     assert other.code in (0, 4), other.err
     shutil.copy(tmp_path / "moved" / "base.ffc", damaged / "base.ffc")
-    assert "is not of the placement beside it" in refused("--settings", first / "row.toml", "--from", damaged)
+    assert "base.ffc is altered or damaged" in refused("--settings", first / "row.toml", "--from", damaged)
     assert not (tmp_path / "out" / "report.json").exists()

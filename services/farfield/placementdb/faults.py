@@ -26,6 +26,8 @@ def manifest_fault(manifest: dict[str, Any]) -> str | None:
             entries += [geometry["index"], *geometry["pages"], *geometry["textures"]]
             sound = all(type(e["memory"]) is int for e in geometry["pages"])
             numbers += [e[key] for e in geometry["textures"] for key in ("width", "height")]
+        if base := manifest.get("base"):
+            entries.append(base)
         numbers += [e["expanded"] for e in entries if e["file"].endswith(".ffz")]
         sound = sound and len(origin) == 3 and boxes.ndim == 3 and boxes.shape[1:] == (2, 3)
         sound = sound and edges.ndim == 1 and len(edges) >= 2 and bool((np.diff(edges) > 0).all())
@@ -98,10 +100,8 @@ def chunk_fault(chunk: _Columns, meta: dict[str, Any], entry: dict[str, Any], ma
     rows += [("layer_corner", len(chunk["corner_uv"]))]
     if len(chunk["cell_visible"]):
         rows += [("visible_row", len(chunk["visible_object"]))]
-    for name, size in rows:
-        row = chunk[name]
-        if not len(row) or row[0] != 0 or row[-1] != size or (np.diff(row) < 0).any():
-            return f"the rows {name} do not cut what they should"
+    if fault := _rows_fault(chunk, rows):
+        return fault
     ids = [
         ("cell_visible", max(len(chunk["visible_row"]) - 1, 0)), ("visible_object", count["objects"]),
         ("view_list", len(chunk["list_row"]) - 1), ("list_impostor", len(chunk["impostor_id"])),
@@ -110,11 +110,8 @@ def chunk_fault(chunk: _Columns, meta: dict[str, Any], entry: dict[str, Any], ma
     for name, size in ids:
         if not _within(chunk[name], size):
             return f"an entry of {name} is out of range"
-    corners, rect = np.diff(chunk["layer_corner"]), chunk["layer_rect"].astype(np.int64)
-    if not ((corners >= 3) & (corners <= layout.MAX_CORNERS)).all():
-        return "a layer has fewer than 3 or more than 8 corners"
-    if not (rect[:, :2] + rect[:, 2:] <= layout.PAGE_TEXELS).all() or (rect[:, :2] % layout.ALIGN_TEXELS).any():
-        return "a layer reaches past its page"
+    if fault := _layers_fault(chunk["layer_corner"], chunk["layer_rect"]):
+        return fault
     if (np.diff(chunk["impostor_id"]) <= 0).any():
         return "its impostors are not in ascending order"
     return None
@@ -127,11 +124,9 @@ def geometry_fault(columns: _Columns, manifest: dict[str, Any], index: _Columns)
         return fault
     if len(columns["object_mesh"]) != manifest["counts"]["objects"]:
         return "it has not as many objects as the manifest states"
-    rows = [("mesh_primitive", "primitive_material"), ("mesh_model", "model_page")]
-    for name, cut in rows:
-        row = columns[name]
-        if not len(row) or row[0] != 0 or row[-1] != len(columns[cut]) or (np.diff(row) < 0).any():
-            return f"the rows {name} do not cut what they should"
+    rows = [("mesh_primitive", len(columns["primitive_material"])), ("mesh_model", len(columns["model_page"]))]
+    if fault := _rows_fault(columns, rows):
+        return fault
     geometry = manifest["geometry"]
     ids = [
         ("object_mesh", 0, len(columns["mesh_model"]) - 1), ("primitive_material", 0, len(columns["material_alpha"])),
@@ -154,11 +149,53 @@ def geometry_page_fault(columns: _Columns) -> str | None:
     fault = layout.misfit(columns, layout.GEOMETRY_PAGE)
     if fault:
         return fault
-    for name, size in (("model_part", len(columns["part_triangle"]) - 1), ("part_triangle", len(columns["index"]))):
-        row = columns[name]
-        if row[0] != 0 or row[-1] != size or (np.diff(row) < 0).any():
-            return f"the rows {name} do not cut what they should"
+    rows = [("model_part", len(columns["part_triangle"]) - 1), ("part_triangle", len(columns["index"]))]
+    if fault := _rows_fault(columns, rows):
+        return fault
     return None if _within(columns["index"], len(columns["position"])) else "a triangle has a vertex that is not there"
+
+
+def base_fault(columns: _Columns, manifest: dict[str, Any]) -> str | None:
+    """Check shapes, rows and ids of a base, and that no figure of it is impossible."""
+    fault = layout.misfit(columns, layout.BASE)
+    if fault:
+        return fault
+    if len(columns["start"]) != manifest["counts"]["impostors"]:
+        return "it has not as many impostors as the manifest states"
+    rows = [("cell_row", len(columns["cell"])), ("table_layer_row", len(columns["table_page"]))]
+    rows += [("table_corner_row", len(columns["table_uv"]))]
+    if fault := _rows_fault(columns, rows):
+        return fault
+    start, stop = columns["start"], columns["stop"]
+    if (
+        not ((start >= 0) & (start < stop) & (stop <= len(columns["object_digest"]))).all()
+        or (columns["kind"] > 1).any()
+    ):
+        return "an impostor is out of range"
+    for name, size in (("cell", len(columns["cell_box"])), ("table_page", len(manifest["pages"]))):
+        if not _within(columns[name], size):
+            return f"an entry of {name} is out of range"
+    if (columns["bytes"] <= 0).any() or (columns["cost"] < 0).any() or np.isnan(columns["view_cell"]).any():
+        return "an impostor has an impossible size, cost or view cell"
+    return _layers_fault(columns["table_corner_row"], columns["table_rect"])
+
+
+def _rows_fault(columns: _Columns, rows: list[tuple[str, int]]) -> str | None:
+    """Check that each named column of row starts ascends from 0 to its size."""
+    for name, size in rows:
+        row = columns[name]
+        if not len(row) or row[0] != 0 or row[-1] != size or (np.diff(row) < 0).any():
+            return f"the rows {name} do not cut what they should"
+    return None
+
+
+def _layers_fault(corner_row: np.ndarray, rect: np.ndarray) -> str | None:
+    corners, rect = np.diff(corner_row), rect.astype(np.int64)
+    if not ((corners >= 3) & (corners <= layout.MAX_CORNERS)).all():
+        return "a layer has fewer than 3 or more than 8 corners"
+    if not (rect[:, :2] + rect[:, 2:] <= layout.PAGE_TEXELS).all() or (rect[:, :2] % layout.ALIGN_TEXELS).any():
+        return "a layer reaches past its page"
+    return None
 
 
 def _within(ids: np.ndarray, size: int) -> bool:

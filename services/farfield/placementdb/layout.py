@@ -74,6 +74,18 @@ GEOMETRY_PAGE: Columns = {
     "index": ("<u4", ("T", 3)),
 }  # fmt: skip
 
+BASE: Columns = {  # of base.ffc: the fields of farfield.placement.base.Base, and those of the layer table as table_...
+    "object_digest": ("|u1", ("N", 16)), "object_box": ("<f8", ("N", 2, 3)), "origin_m": ("<f8", (3,)),
+    "cell_box": ("<f8", ("L", 2, 3)), "start": ("<i4", ("I",)), "stop": ("<i4", ("I",)), "kind": ("|u1", ("I",)),
+    "view_cell": ("<f8", ("I", 9)), "bytes": ("<i8", ("I",)), "layers": ("<i4", ("I",)), "cost": ("<i8", ("I",)),
+    "cell_row": ("<i8", ("I+1",)), "cell": ("<i4", ("S",)),
+    "table_eye": ("<f8", ("I", 3)), "table_right": ("<f8", ("I", 3)), "table_up": ("<f8", ("I", 3)),
+    "table_layer_row": ("<i8", ("I+1",)), "table_number": ("<u2", ("R",)), "table_plane": ("<f8", ("R",)),
+    "table_inverse_near": ("<f8", ("R",)), "table_inverse_far": ("<f8", ("R",)), "table_page": ("<i4", ("R",)),
+    "table_rect": ("<u2", ("R", 4)), "table_corner_row": ("<i8", ("R+1",)), "table_position": ("<f4", ("Q", 3)),
+    "table_uv": ("<f4", ("Q", 2)),
+}  # fmt: skip
+
 
 def cast(columns: Mapping[str, np.ndarray], table: Columns) -> dict[str, np.ndarray]:
     """Return the columns in the types of `table`; asserts that nothing is missing, extra or loses an integer."""

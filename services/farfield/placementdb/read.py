@@ -226,12 +226,14 @@ class Placement:
         """Return the (1536, 1024, 4) u1 image of page `k` with all its levels, verified."""
         from farfield.placementdb.pages import NotAPage, decode
 
-        entry = self.manifest["pages"][k]
-        content = _read(self.folder, entry)
         try:
-            return decode(content, self.manifest["page"].get("format", "webp"))
+            return decode(self.page_file(k), self.manifest["page"].get("format", "webp"))
         except NotAPage as error:
-            raise ColumnsAltered(entry["file"], f"it is {error}") from error
+            raise ColumnsAltered(self.manifest["pages"][k]["file"], f"it is {error}") from error
+
+    def page_file(self, k: int) -> bytes:
+        """Return the content of the file of page `k`, verified."""
+        return _read(self.folder, self.manifest["pages"][k])
 
     def check(self) -> int:
         """Verify every file and return how many there are. Raises as `open` does."""
@@ -323,10 +325,14 @@ def _columns(folder: Path, entry: dict[str, Any]) -> tuple[str, dict[str, np.nda
 
 
 def _read(folder: Path, entry: dict[str, Any]) -> bytes:
-    """Return the content of a listed file if it has the size and digest that the manifest states."""
-    name = entry["file"]
-    if not _FILE.fullmatch(name):
-        raise ColumnsAltered(layout.MANIFEST, f"it names the file {name!r}")
+    """Return the content of a listed file, verified."""
+    if not _FILE.fullmatch(entry["file"]):
+        raise ColumnsAltered(layout.MANIFEST, f"it names the file {entry['file']!r}")
+    return read_stated(folder, entry["file"], entry)
+
+
+def read_stated(folder: Path, name: str, entry: dict[str, Any]) -> bytes:
+    """Return the content of a file if it has the size and digest that the manifest's entry states."""
     try:
         content = (folder / name).read_bytes()
     except OSError as error:

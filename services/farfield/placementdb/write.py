@@ -24,6 +24,7 @@ from farfield.hierarchy.model import Hierarchy
 from farfield.placement.model import Placement, fresh_of
 from farfield.placement.repair import verdict
 from farfield.placementdb import layout
+from farfield.placementdb.base import NAME as BASE
 from farfield.placementdb.base import KeptLayers, base_file
 from farfield.placementdb.chunks import Chunk, build_chunks
 from farfield.placementdb.geometry import build_geometry
@@ -132,6 +133,7 @@ def build(
             "textures": [add("textures/", t.content, t.suffix) | {"width": t.width, "height": t.height} for t in cut.textures],
             "notice": scene.notice,
         }  # fmt: skip
+    base = base_file(scene, hierarchy, cells, views, placement, table)
     counts = _counts(scene, hierarchy, cells, views, placement, table)
     manifest = _manifest(scene, model, visible, views, placement, settings) | {
         "counts": counts | {"chunks": len(chunks), "pages": len(pages)},
@@ -140,15 +142,13 @@ def build(
         "video_bytes": len(pages) * layout.PAGE_WIDTH * layout.PAGE_HEIGHT * 4,
         "lighting": dict(lighting), "geometry": geometry,
         "scene": {"file": "scene.glb", "sha256": digests["scene.glb"]} if "scene.glb" in digests else None,
+        "base": {"file": BASE, "bytes": len(base), "sha256": hashlib.sha256(base).hexdigest()},
         "provenance": {
             "settings": to_mapping(settings), "software": {"farfield": version("farfield"), "renderer": _renderer(baked, kept)},
             "inputs": dict(digests),
         },
     }  # fmt: skip
     files[layout.MANIFEST] = sealed(manifest)
-    base = base_file(
-        scene, hierarchy, cells, views, placement, table, manifest=json.loads(files[layout.MANIFEST])
-    )  # fmt: skip
     return files, base
 
 
