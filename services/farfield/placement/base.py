@@ -3,9 +3,10 @@
 Problem  Of a placement of a level that has changed since: which impostors show what they showed, are as they would be
          baked now, and where may they be shown? What comes nearest to those that do not?
 Method   Objects are matched by what they are (`scene.identity`). An impostor holds if its cluster is a cluster still, of
-         the same objects, and no object that came, went or moved meets the cluster's box (the bake looks at what stands
-         beside). It serves every cell that its view cell holds. Others are fitted anew, where the objects that are left
-         of their cluster still make one up with what is new: the same cells, the new box.
+         the same objects, no object that came, went or moved meets the cluster's box (the bake looks at what stands
+         beside), and it was shown somewhere (else its layers are not stored). It serves every cell that its view cell
+         holds. Others are fitted anew, where the objects that are left of their cluster still make one up with what is
+         new: the same cells, the new box.
 Errs     Towards change: a box that is met need not change a texel.
 """
 
@@ -64,7 +65,7 @@ def keep(base: Base, scene: Scene, digest: np.ndarray, hierarchy: Hierarchy, cel
     changed = np.concatenate(boxes)
     cell_of = _places(base.cell_box, cells.cell_box)
     node, whole = _clusters(base, new_of, hierarchy)
-    holds = whole & ~_met(hierarchy.box, node, changed)
+    holds = whole & ~_met(hierarchy.box, node, changed) & (np.diff(base.cell_row) > 0)
     found = []
     for i in range(len(base.start)):
         if holds[i]:

@@ -125,6 +125,17 @@ def test_a_level_that_did_not_change_keeps_everything(old, base):
     np.testing.assert_array_equal(p.bytes, old.repaired.bytes)
 
 
+def test_what_was_shown_nowhere_is_not_kept(old, base):
+    """Its layers are not stored: a view would have a hole in its place."""
+    gone = 0
+    some = np.repeat(np.arange(len(base.start)), np.diff(base.cell_row)) != gone
+    row = np.concatenate([[0], np.cumsum(some)])[base.cell_row]
+    unshown = replace(base, cell_row=row, cell=base.cell[some])
+    assert gone in kept_of(base, old).base and gone not in kept_of(unshown, old).base
+    _, p = placed_on(unshown, old)
+    assert verdict(p, old.model) == "valid" and gone not in p.base
+
+
 @pytest.mark.parametrize("change", ["near", "far", "several", "gone"])
 def test_a_changed_level_is_placed_on_what_still_holds(old, base, change):
     if change == "gone":
