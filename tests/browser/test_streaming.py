@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -100,6 +101,37 @@ def test_a_slow_and_failing_line_shows_boxes_first_and_everything_in_the_end(fol
         assert stats["incomplete"] > 0, "no frame was drawn before the geometry came"
         assert stats["firstWholeMs"] > 0
         assert set(asked.values()) == {2}, "asked again where it failed, and never else"
+
+
+def test_nothing_is_fetched_beyond_the_first_image_before_it_is_there(folder: Path, page: Any) -> None:
+    pages = {entry["file"] for entry in Placement.open(folder).manifest["geometry"]["pages"]}
+    asked, go_on = [], threading.Event()
+
+    def trouble(path: str) -> None:
+        name = path.partition("/v1/placements/curved/")[2]
+        if name in pages or name == "report.json":
+            asked.append(name)
+            if len(asked) == 1:
+                go_on.wait(20)
+
+    with serving({"curved": folder}, trouble=trouble) as url:
+        page.goto(f"{url}/viewer/curved#at=0,1.6,0&to=0,0,1")  # the rows are behind
+        page.wait_for_timeout(1000)
+        before = set(asked)
+        go_on.set()
+        page.evaluate("farfield.ready()")
+        stats = page.evaluate("farfield.stats()")
+        assert 0 < len(before) < len(pages)
+        assert "report.json" not in before
+        assert stats["firstWholeMs"] > 1000
+        assert 0 < stats["firstWholeBytes"] < sum(file.stat().st_size for file in (folder / "placement").rglob("*.*"))
+        for _ in range(100):
+            if "report.json" in asked and len(pages & set(asked)) > len(before):
+                break
+            page.wait_for_timeout(100)
+        assert "report.json" in asked
+        assert pages & set(asked) > before, "what the rest of the cell needs never came"
+        assert len(asked) == len(set(asked)), "a file was asked for twice"
 
 
 def test_a_small_memory_is_kept_to_and_leaves_no_hole(folder: Path, page: Any) -> None:

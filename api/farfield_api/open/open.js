@@ -15,7 +15,14 @@ async function start(opening) {
     headers: { "content-type": "application/json" },
     body: JSON.stringify(opening),
   });
+  if (answer.ok) await forgetFiles();
   return answer.ok;
+}
+
+// What the viewer kept for another session (webviewer/src/stream/kept.ts).
+async function forgetFiles() {
+  const names = globalThis.caches ? await caches.keys() : [];
+  for (const name of names) if (name.startsWith("farfield placement ")) await caches.delete(name);
 }
 
 function ask(text) {

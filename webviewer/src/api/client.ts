@@ -1,4 +1,5 @@
 /** The API over fetch: same-origin cookie, CSRF token on what changes something, problems as errors with advice. */
+import { forgetFiles } from "../stream/kept";
 import type { JobRequest, Opening, Problem, Route, UploadListReply, UploadReply, UsageReply } from "./schema";
 import type { Device, DevicePage, EventPage, JobDetail, JobEvent, JobPage, JobState, Scene, SceneObjects, Session, ShardPage, Storage, WorkerPage } from "./types";
 
@@ -101,8 +102,16 @@ export async function readSession(): Promise<Session | null> {
   }
 }
 
-export const signIn = async (opening: Opening): Promise<Session> => keep(await json<Session>("POST /v1/session", { body: opening }));
-export const signOut = (): Promise<void> => json("DELETE /v1/session");
+/** A session begins and ends without what this browser kept for another one. */
+export async function signIn(opening: Opening): Promise<Session> {
+  const session = keep(await json<Session>("POST /v1/session", { body: opening }));
+  await forgetFiles();
+  return session;
+}
+export async function signOut(): Promise<void> {
+  await forgetFiles();
+  await json("DELETE /v1/session");
+}
 
 export function listJobs(query: { state?: JobState; cursor?: string; limit?: number }, signal?: AbortSignal): Promise<JobPage> {
   return json("GET /v1/jobs", { query, ...(signal ? { signal } : {}) });

@@ -128,7 +128,9 @@ export class PagedMaterials {
   private swap(uniform: THREE.IUniform, x: number, shown: THREE.Texture): void {
     const before = uniform.value as THREE.Texture;
     uniform.value = shown;
-    if (before !== this.means[x]) before.dispose();
+    if (before === this.means[x]) return;
+    before.dispose();
+    (before.image as ImageBitmap).close();
   }
 
   private configured(texture: THREE.Texture, x: number): THREE.Texture {

@@ -1,5 +1,6 @@
 /** Files over HTTP: retried with backoff while wanted, cancelled by signal, counted for the streaming panel. */
 import type { FetchBytes } from "../placementdb/placement";
+import { forgetFiles, type KeptFiles } from "./kept";
 
 export class AccessDenied extends Error {
   constructor() {
@@ -10,6 +11,7 @@ export class AccessDenied extends Error {
 export interface Traffic {
   bytes: number; // received in all
   failures: number; // in a row; 0 while the connection works
+  offline: boolean; // the manifest is one that this browser kept: the service did not answer
   retryAtMs: number;
   fileS: number; // that a file takes, running mean
   busySinceMs: number; // something is on its way since then
@@ -19,7 +21,7 @@ export interface Traffic {
 }
 
 export function makeTraffic(): Traffic {
-  return { bytes: 0, failures: 0, retryAtMs: 0, fileS: 0.1, busySinceMs: 0, inFlight: 0, busyMs: 0, busyBytes: 0 };
+  return { bytes: 0, failures: 0, offline: false, retryAtMs: 0, fileS: 0.1, busySinceMs: 0, inFlight: 0, busyMs: 0, busyBytes: 0 };
 }
 
 /** Bytes a second that the line carried while it was asked to; 0: not known yet. */
@@ -47,12 +49,16 @@ function end(t: Traffic, beganMs: number, bytes: number): void {
 const BACKOFF_MS = [500, 1000, 2000, 4000, 8000];
 const MOST_TRIES_ON_5XX = 6;
 
+/** The service answered, but not with the file: worth another try. */
+class Unwell extends TypeError {}
+
 /** Resolves to null for 404. A lost connection is retried for ever, a failing server six times. */
 export async function fetchFile(url: string, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void): Promise<Uint8Array | null> {
   for (let attempt = 0; ; attempt++) {
     try {
       const bytes = await timed(traffic, () => fetchOnce(url, attempt + 1 >= MOST_TRIES_ON_5XX, traffic, signal, onBytes));
       traffic.failures = 0;
+      traffic.offline = false;
       return bytes;
     } catch (error) {
       if (signal?.aborted || !(error instanceof TypeError)) throw error;
@@ -72,7 +78,7 @@ async function fetchOnce(url: string, last: boolean, traffic: Traffic, signal?: 
   if (!response.ok) {
     if (response.status < 500 && response.status !== 429) throw new Error(`${url} answered ${response.status}`);
     if (last) throw new AccessFailed(url, response.status);
-    throw new TypeError(`status ${response.status}`);
+    throw new Unwell(`status ${response.status}`);
   }
   return readBody(response, traffic, onBytes);
 }
@@ -137,6 +143,33 @@ function delay(ms: number, signal?: AbortSignal): Promise<void> {
   });
 }
 
-export function fetchFrom(base: string, traffic: Traffic): FetchBytes {
-  return (name, signal) => fetchFile(base + name, traffic, signal);
+/** Files of the placement at `base`; those that this browser keeps need no service, or stand in for one that does not answer. */
+export function fetchFrom(base: string, traffic: Traffic, kept: KeptFiles | null = null): FetchBytes {
+  if (!kept) return (name, signal) => fetchFile(base + name, traffic, signal);
+  return async (name, signal) => {
+    const held = await kept.digestNamed(name);
+    if (held) return held;
+    try {
+      const copy = await kept.get(name);
+      const bytes = await (copy ? fetchOr(copy, base + name, traffic, signal) : fetchFile(base + name, traffic, signal));
+      const putting = bytes && bytes !== copy ? kept.put(name, bytes) : null;
+      if (name === "manifest.json") await (bytes ? putting : kept.clear()); // before the files that it names
+      return bytes;
+    } catch (error) {
+      if (error instanceof AccessDenied) await forgetFiles();
+      throw error;
+    }
+  };
+}
+
+/** `copy` where there is no answer at all: one try, so that a page opens at once. */
+async function fetchOr(copy: Uint8Array, url: string, traffic: Traffic, signal?: AbortSignal): Promise<Uint8Array | null> {
+  try {
+    return await timed(traffic, () => fetchOnce(url, false, traffic, signal));
+  } catch (error) {
+    if (signal?.aborted || !(error instanceof TypeError)) throw error;
+    if (error instanceof Unwell) return fetchFile(url, traffic, signal);
+    traffic.offline = true;
+    return copy;
+  }
 }

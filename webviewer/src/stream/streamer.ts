@@ -24,6 +24,8 @@ export class Streamer {
   plan: Plan = { chunks: [], pages: [] };
   parts: PartsWanted = NOTHING;
   mostChunkBytes = 0; // that were here at once
+  /** False: nothing is fetched but what the view cannot do without. */
+  prefetching = true;
   private wanted: ReadonlySet<number> = new Set();
   private wantedParts: ReadonlySet<number> = new Set();
   /** Numbers of files, best first: chunks, then pages, then parts of the level. */
@@ -92,10 +94,13 @@ export class Streamer {
     const page = (p: number): number => firstPage + p;
     const part = (p: number): number => firstPart + p;
     // What the view cannot do without, then what turning and going on need, then the rest.
-    this.order = [
-      ...chunks.slice(0, 1), ...parts.parts.slice(0, parts.urgent).map(part), ...pages.slice(0, needed).map(page), ...chunks.slice(1, 2),
-      ...parts.parts.slice(parts.urgent, parts.near).map(part), ...pages.slice(needed).map(page), ...chunks.slice(2), ...parts.parts.slice(parts.near).map(part),
-    ];
+    this.order = [...chunks.slice(0, 1), ...parts.parts.slice(0, parts.urgent).map(part), ...pages.slice(0, needed).map(page)];
+    if (this.prefetching) {
+      this.order.push(
+        ...chunks.slice(1, 2), ...parts.parts.slice(parts.urgent, parts.near).map(part), ...pages.slice(needed).map(page),
+        ...chunks.slice(2), ...parts.parts.slice(parts.near).map(part),
+      );
+    }
     this.next = 0;
     const keep = new Set(this.order);
     for (const [file, controller] of this.flying) if (!keep.has(file)) controller.abort(new DOMException("no longer wanted", "AbortError"));

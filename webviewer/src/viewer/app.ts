@@ -39,8 +39,12 @@ export class App {
   private readonly clock: FrameClock;
   private readonly overlay: Overlay;
   private readonly panorama: Panorama;
-  /** When the first image without stand-ins was drawn, ms since the page was opened; 0: not yet. */
+  /** When the first image without stand-ins was there, ms since the page was opened, and what of the placement had come; 0: not yet. */
   firstWholeMs = 0;
+  firstWholeBytes = 0;
+  /** Resolves when the first image is there as well as it can be: only then more is fetched than it needs. */
+  readonly begun: Promise<void>;
+  private begin: () => void = () => undefined;
   private dirty = 2; // frames still to draw
   private lastMs = 0;
   private plannedAt = 0;
@@ -60,6 +64,8 @@ export class App {
   ) {
     this.walker = new Walker(placement.manifest.view_space);
     this.streamer = new Streamer(placement, engine.pages, () => this.touch(), engine.level, engine.caps.chunks);
+    this.streamer.prefetching = false;
+    this.begun = new Promise((resolve) => (this.begin = resolve));
     this.clock = new FrameClock(engine.gl);
     this.overlay = new Overlay(engine, this.clock);
     this.panorama = new Panorama(placement);
@@ -163,11 +169,17 @@ export class App {
     for (;;) {
       this.streamer.upload(Infinity);
       this.locate(true);
-      const s = this.engine.situation;
-      const chunkHere = s.chunk < 0 || this.placement.residentChunk(s.chunk) || this.streamer.damaged.has(this.placement.manifest.chunks[s.chunk].file);
-      if (this.engine.level.ready && chunkHere && s.needed.every((p) => this.streamer.settled(p)) && this.streamer.levelSettled) return;
+      if (this.settledHere()) break;
       await new Promise((resolve) => setTimeout(resolve, 10));
     }
+    if (!this.streamer.prefetching) this.draw(); // no frame may have come in between
+  }
+
+  private settledHere(): boolean {
+    const { engine, placement, streamer } = this;
+    const s = engine.situation;
+    const chunkHere = s.chunk < 0 || placement.residentChunk(s.chunk) || streamer.damaged.has(placement.manifest.chunks[s.chunk].file);
+    return Boolean(engine.level.ready && chunkHere && s.needed.every((p) => streamer.settled(p)) && streamer.levelSettled);
   }
 
   setMode(modes: Switches): void {
@@ -237,9 +249,20 @@ export class App {
     if (over) this.counts.over++;
     if (late) this.counts.overForStreaming++;
     if (engine.standIns.missing || engine.standIns.untextured) this.counts.incomplete++;
-    else if (!this.firstWholeMs && engine.level.ready) this.firstWholeMs = performance.now();
+    else if (!this.firstWholeMs && engine.level.ready) this.noteFirst();
     clock.end(s.cost, s.geometryCost, late);
+    if (!this.streamer.prefetching && this.settledHere()) {
+      this.streamer.prefetching = true;
+      this.plannedAt = -Infinity; // the next frame plans
+      this.begin();
+    }
     if (this.walks.replaying) this.tellWalk(promised);
+  }
+
+  private noteFirst(): void {
+    this.firstWholeBytes = this.traffic.bytes;
+    this.engine.gl.finish(); // the time of the picture, not of its commands
+    this.firstWholeMs = performance.now();
   }
 
   private tellWalk(promised: boolean): void {

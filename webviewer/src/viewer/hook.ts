@@ -34,7 +34,8 @@ export interface Stats {
   boxes: number; // of them
   incomplete: number; // frames so far with any
   memory: { level: number; mostLevel: number; mostChunks: number; evictions: number }; // bytes; video memory of the level, system memory of chunks
-  firstWholeMs: number; // when the first image without stand-ins was drawn, since the page was opened
+  firstWholeMs: number; // when the first image without stand-ins was there, since the page was opened
+  firstWholeBytes: number; // of the placement that had come by then
 }
 
 export interface Hook {
@@ -119,6 +120,7 @@ function read(app: App): Stats {
       inside: insideBoxes(view_space, position), position: [...position], direction: [...direction],
       overForStreaming: app.counts.overForStreaming, over: app.counts.over, residentPages: engine.pages.residentPages,
       missing: engine.standIns.missing, boxes: engine.standIns.boxes, incomplete: app.counts.incomplete, firstWholeMs: app.firstWholeMs,
+      firstWholeBytes: app.firstWholeBytes,
       memory: {
         level: engine.level.pages?.bytes ?? 0, mostLevel: engine.level.pages?.mostBytes ?? 0, mostChunks: app.streamer.mostChunkBytes,
         evictions: engine.level.pages?.evictions ?? 0,

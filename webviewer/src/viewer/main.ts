@@ -4,10 +4,11 @@ import "../style/base.css";
 import "../style/viewer.css";
 import { makeContext, NoWebGl2 } from "../gl/context";
 import { ColumnsAltered, PlacementFileError, PlacementFileMissing } from "../placementdb/errors";
-import { Placement } from "../placementdb/placement";
+import { Placement, type FetchBytes } from "../placementdb/placement";
 import { sha256 } from "../placementdb/sha256";
 import { capsOf } from "../stream/caps";
 import { AccessDenied, fetchFile, fetchFrom, makeTraffic, type Traffic } from "../stream/files";
+import { KeptFiles } from "../stream/kept";
 import { byId, setShown, setText } from "../ui/dom";
 import { bytes } from "../ui/format";
 import { applyTheme } from "../ui/theme";
@@ -47,7 +48,8 @@ async function start(): Promise<App> {
   const base = `/v1/placements/${encodeURIComponent(decodeURIComponent(id))}/`;
   const traffic = makeTraffic();
   progress("Loading placement", "manifest and index", 0);
-  const placement = await Placement.open(fetchFrom(base, traffic));
+  const files = fetchFrom(base, traffic, await KeptFiles.open(base));
+  const placement = await Placement.open(files);
   const memory = new URLSearchParams(location.search).get("memory");
   const engine = new Engine(canvas, gl, placement, capsOf(placement.manifest, memory === null ? null : Number(memory)));
   if (placement.manifest.geometry) await engine.openLevel();
@@ -57,18 +59,29 @@ async function start(): Promise<App> {
   if (!placement.manifest.geometry) await loadGeometry(base, traffic, placement, engine);
   setShown("loading", false);
   app.touch();
-  void bookmark(base, traffic, app);
+  void app.begun.then(() => bookmark(files, app)).then(keepViewer);
   credit(engine.level.notice || placement.manifest.scene?.notice || placement.manifest.notice || "", id);
   return app;
 }
 
 /** Bookmarks from the report, where there is one that can be read: the viewer needs none. */
-async function bookmark(base: string, traffic: Traffic, app: App): Promise<void> {
+async function bookmark(files: FetchBytes, app: App): Promise<void> {
   try {
-    const report = await fetchFile(`${base}report.json`, traffic);
+    const report = await files("report.json");
     if (report) app.offerWorstViews(JSON.parse(new TextDecoder().decode(report)));
   } catch (error) {
     console.warn("no bookmarks: the report cannot be read", error);
+  }
+}
+
+/** Has this page, and what it is made of, kept for when the service cannot be reached (public/offline.js). */
+async function keepViewer(): Promise<void> {
+  try {
+    await navigator.serviceWorker?.register("/offline.js", { scope: "/viewer/" });
+    const { active } = (await navigator.serviceWorker?.ready) ?? {};
+    active?.postMessage([location.href, ...performance.getEntriesByType("resource").map((entry) => entry.name)]);
+  } catch (error) {
+    console.info("this page will not open without the service", error);
   }
 }
 

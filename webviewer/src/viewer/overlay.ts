@@ -92,6 +92,8 @@ export class Overlay {
     if (lost) {
       const seconds = Math.max(0, Math.ceil((traffic.retryAtMs - now) / 1000));
       notice("inf", "Connection lost", `What is here stays usable. Trying again in ${seconds} s.`);
+    } else if (traffic.offline) {
+      notice("inf", "The service does not answer", "This is what this browser kept of the placement. What it did not keep stays boxes or geometry.");
     } else if (streamer.denied) {
       notice("bad", "Access ended", streamer.denied.message);
     } else if (streamer.damaged.size) {
