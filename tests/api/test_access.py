@@ -88,7 +88,7 @@ ROUTES = [
 ]
 # What shows no data: the pages, which ask for all they show under /v1.
 PAGES = {"/", "/jobs", "/jobs/{item}", "/jobs/{item}/report", "/viewer/{item}", "/viewer/{item}/report", "/compare",
-         "/workers", "/storage", "/open", "/open/{name}", "/{path:path}"}  # fmt: skip
+         "/workers", "/storage", "/devices", "/open", "/open/{name}", "/{path:path}"}  # fmt: skip
 GUARDED = [route for route in ROUTES if route[3] != FREE]
 EXAMPLES = {"digest": DIGEST, "stage": "scene", "placement": "town", "path:path": "manifest.json"}
 HEADERS = {"tus-resumable": "1.0.0", "accept": "application/json"}

@@ -33,7 +33,7 @@ def test_levels_spare_problem_views_and_memory(folders):
     assert {s["name"]: s["skipped"] for s in off["stages"]}[
         "detail"
     ] == "detail.mode is off: objects are drawn as they are"
-    assert Placement.open(folder).manifest["version"] == 4 and Placement.open(plain).manifest["version"] == 3
+    assert Placement.open(folder).manifest["version"] == Placement.open(plain).manifest["version"] == 6
     assert (folder / "scene.glb").stat().st_size < 1.5 * (plain / "scene.glb").stat().st_size
 
 
@@ -64,7 +64,7 @@ def test_the_report_says_what_levels_bring(folders):
 def test_workers_leave_no_trace_and_auto_is_on_where_triangles_are_counted(folders, files_of):
     on, auto = (files_of(folders[name][0]) for name in ("on", "auto"))
     assert on.keys() == auto.keys()
-    stating_the_settings = {"report.json", "placement/manifest.json"}
+    stating_the_settings = {"report.json", "base.ffc", "placement/manifest.json"}
     assert {name for name in on if on[name] != auto[name]} <= stating_the_settings
 
 
