@@ -33,7 +33,13 @@ def test_every_column_that_names_an_artifact_counts_as_a_reference():
     found = {(c.table.name, c.name) for c in collect.references()}
     # The others are digests of requests and secrets, or of a scene, which has a row of its own.
     others = {(t, c) for t, c in named - found}
-    assert {c for _, c in others} <= {"request_digest", "secret_digest", "token_digest", "scene_digest", "session_digest"}
+    assert {c for _, c in others} <= {
+        "request_digest",
+        "secret_digest",
+        "token_digest",
+        "scene_digest",
+        "session_digest",
+    }
     assert ("scene", "digest") in found
 
 

@@ -54,7 +54,12 @@ def test_a_level_within_budget_leaves_three_outputs_and_one_document(level, tmp_
     for _ in range(2):  # the second run replaces the first
         assert place(level, tmp_path / "out") == 0
         assert json.loads(capsys.readouterr().out)["verdict"] == "valid"
-        assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["base.ffc", "placement", "report.json", "scene.glb"]
+        assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+            "base.ffc",
+            "placement",
+            "report.json",
+            "scene.glb",
+        ]
 
 
 def test_the_scene_is_not_replaced_by_the_output_nor_any_folder_deleted(level, tmp_path):
