@@ -5,8 +5,8 @@ Method   Blobs never change, so their time does not matter, only their presence.
          backup, which is the state at one moment; then copy the blobs that it names and are not yet there. A blob
          deleted in between (a job was deleted) is missing now: take the database again. Every blob is hashed on the way.
 Again    Into the same folder only what is new is copied; what the new database does not name is removed from it.
-Holds    farfield.sqlite, artifacts/, api-key, secret, webhook-key, backup.json (written last: a backup without it is not one). It holds
-         levels and keys: keep it as safe as the service.
+Holds    farfield.sqlite, artifacts/, api-key, secret, webhook-key, backup.json (written last: a backup without it is
+         not one). It holds levels and keys: keep it as safe as the service.
 """
 
 import json
