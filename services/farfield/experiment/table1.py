@@ -147,8 +147,8 @@ def build(job: Job, args: argparse.Namespace) -> dict[str, Any]:
         rows, walks = {}, {}
         for test in tests:
             tried = []
-            for settings in test.settings:
-                ran = sweep.run(settings, until=Stage.PLACEMENTDB, label=f"test {test.key}", skip=NOT_NEEDED)
+            for changed in test.settings:
+                ran = sweep.run(changed, until=Stage.PLACEMENTDB, label=f"test {test.key}", skip=NOT_NEEDED)
                 tried.append((facts_of(ran), ran))
             facts, ran = min(tried, key=lambda pair: (pair[0]["hopeless_share"], pair[0]["bytes"]))
             rows[test.key] = facts

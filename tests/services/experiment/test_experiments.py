@@ -1,5 +1,6 @@
 """The experiments on a small town: every row there, ratios right, a wrong direction explained or called unexplained."""
 
+import argparse
 import json
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,7 +17,8 @@ from farfield.experiment.files import contents, page, table
 from farfield.experiment.reasons import UNEXPLAINED, compare, same_direction
 from farfield.experiment.truths import fitted
 from farfield.scene.write import write_glb
-from farfield.settings import Settings
+from farfield.settings import Settings, to_mapping
+from farfield.stages import Stage
 from towns import town
 
 FACTS: dict[str, Any] = {
@@ -120,6 +122,34 @@ def test_the_middle_of_a_view_space():
     cut = np.array(middle(Settings(), scene, 4).view_space.boxes)
     assert cut.tolist() == [[[-16, 1, -16], [16, 3, 16]]]
     assert np.array(middle(Settings(), scene, 0).view_space.boxes).tolist() == scene.view_boxes.tolist()
+
+
+class NoSweep:
+    """Runs nothing: every job came to the same facts."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.inputs = lambda: {Stage.SCENE: town(20, view_m=64.0)}
+
+    def __enter__(self) -> "NoSweep":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, *_: Any, **__: Any) -> "NoSweep":
+        return self
+
+    def measure(self, *_: Any, **__: Any) -> list[Any]:
+        return [({"placed": [1, 2], "plain": [3, 4], "hopeless": [False, True]}, 0.0)]
+
+
+def test_table1_states_the_settings_that_its_tests_start_from(tmp_path, monkeypatch):
+    monkeypatch.setattr("farfield.experiment.sweep.Sweep", NoSweep)
+    monkeypatch.setattr("farfield.experiment.facts.facts_of", lambda ran: FACTS)
+    (tmp_path / "a.glb").write_bytes(b"x")
+    job = Job(scene=tmp_path / "a.glb", settings=Settings(budget="160 calls"), cache=tmp_path, workers=1, command="")
+    made = table1.build(job, argparse.Namespace(boxes=4, frames=2, far_m=40.0))
+    assert made["settings"] == to_mapping(middle(job.settings, town(20, view_m=64.0), 4))
+    assert [s["key"] for s in made["sections"]] == ["table1", "reasons", "figure8", "figure9", "figure7"]
 
 
 class Tags(HTMLParser):
