@@ -1,7 +1,6 @@
 /** Meshes for controlled frames: grids that face the camera, drawn by three.js with the shader of the level, back to front. */
 import * as THREE from "three";
-import fragmentSource from "../shaders/mesh.fragment.glsl?raw";
-import vertexSource from "../shaders/mesh.vertex.glsl?raw";
+import { MESH_SHADERS } from "../shaders/surface";
 import type { View } from "../draw/view";
 import { SIDES, halton, meshesFor, rectangle, type Load } from "./plan";
 
@@ -88,7 +87,7 @@ function material(k: number): THREE.ShaderMaterial {
   map.needsUpdate = true;
   const vector = (...v: [number, number, number]): THREE.IUniform => ({ value: new THREE.Vector3(...v) });
   return new THREE.ShaderMaterial({
-    glslVersion: THREE.GLSL3, vertexShader: vertexSource, fragmentShader: fragmentSource, defines: { TEXTURED: "" }, toneMapped: false,
+    glslVersion: THREE.GLSL3, ...MESH_SHADERS, defines: { TEXTURED: "" }, toneMapped: false,
     uniforms: {
       u_mode: { value: 0 }, u_sun_direction: vector(0.48, 0.64, 0.6), u_sun: vector(0.74, 0.7, 0.62), u_sky: vector(0.5, 0.56, 0.66), u_ground: vector(0.24, 0.22, 0.2),
       u_base: { value: new THREE.Vector4(1, 1, 1, 1) }, u_emissive: vector(0, 0, 0), u_cutoff: { value: 0 }, u_map: { value: map }, u_glow: { value: null },

@@ -5,7 +5,7 @@
  * BatchedMesh's own, by bounding spheres.
  */
 import * as THREE from "three";
-import fragmentSource from "../shaders/mesh.fragment.glsl?raw";
+import { MESH_SHADERS, withSurface } from "../shaders/surface";
 import vertexSource from "./batched_mesh.vertex.glsl?raw";
 import type { Vec3 } from "../placementdb/manifest";
 import { here, type Given, type Way } from "./way";
@@ -52,8 +52,8 @@ function isPlain({ defines, transparent, vertexColors, uniforms: u }: THREE.Shad
 
 function batchOf({ material, plain, meshes }: Group): THREE.BatchedMesh {
   const made = material.clone();
-  made.vertexShader = vertexSource;
-  made.fragmentShader = fragmentSource;
+  made.vertexShader = withSurface(vertexSource);
+  made.fragmentShader = MESH_SHADERS.fragmentShader;
   const shapes = new Map<THREE.BufferGeometry, THREE.BufferGeometry>();
   for (const { geometry } of meshes) if (!shapes.has(geometry)) shapes.set(geometry, shapeOf(geometry, plain));
   const sum = (count: (g: THREE.BufferGeometry) => number): number => [...shapes.values()].reduce((n, g) => n + count(g), 0);

@@ -16,7 +16,7 @@ import type { Selection } from "../select/select";
 import bakeSource from "./octahedral_bake.vertex.glsl?raw";
 import fragmentSource from "./octahedral.fragment.glsl?raw";
 import framesSource from "./octahedral_frames.glsl?raw";
-import meshFragmentSource from "../shaders/mesh.fragment.glsl?raw";
+import { MESH_SHADERS, withSurface } from "../shaders/surface";
 import vertexSource from "./octahedral.vertex.glsl?raw";
 import { here, type Given, type Way } from "./way";
 
@@ -195,8 +195,8 @@ class Bake {
     let material = this.materials.get(source);
     if (!material) {
       material = source.clone();
-      material.vertexShader = bakeSource.replace("FRAMES", framesSource);
-      material.fragmentShader = meshFragmentSource;
+      material.vertexShader = withSurface(bakeSource).replace("FRAMES", framesSource);
+      material.fragmentShader = MESH_SHADERS.fragmentShader;
       Object.assign(material.uniforms, this.uniforms); // shared, not cloned
       this.materials.set(source, material);
     }

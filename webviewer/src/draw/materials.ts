@@ -1,8 +1,7 @@
 /** Materials as the bake shades them: one shader, its variants by defines. */
 import * as THREE from "three";
 import type { GeometryIndex } from "../placementdb/geometry";
-import fragmentSource from "../shaders/mesh.fragment.glsl?raw";
-import vertexSource from "../shaders/mesh.vertex.glsl?raw";
+import { MESH_SHADERS } from "../shaders/surface";
 
 export type Lighting = Record<"sun_direction" | "sun" | "sky" | "ground", [number, number, number]>;
 
@@ -54,7 +53,7 @@ export class Materials {
     if (look.twoSided) defines.TWO_SIDED = "";
     if (look.blended) defines.BLENDED = "";
     return new THREE.ShaderMaterial({
-      glslVersion: THREE.GLSL3, vertexShader: vertexSource, fragmentShader: fragmentSource, defines,
+      glslVersion: THREE.GLSL3, ...MESH_SHADERS, defines,
       side: look.twoSided ? THREE.DoubleSide : THREE.FrontSide,
       transparent: look.blended, depthWrite: !look.blended, vertexColors: look.colored,
       toneMapped: false, fog: false, lights: false,
