@@ -69,7 +69,7 @@ def test_who_no_longer_holds_the_shard_writes_nothing(bench, taken):
 
 
 def test_a_database_that_does_not_answer_costs_the_news_alone(bench, monkeypatch):
-    _, message = bench.submit()
+    job_id, message = bench.submit()
     found = News(bench.engine, _held(bench, message))
     found._keep = lambda: None
 
@@ -81,8 +81,10 @@ def test_a_database_that_does_not_answer_costs_the_news_alone(bench, monkeypatch
         patch.setattr("farfield_workers.news.tell", dead)
         found.write()
     found.tell({"tiles": [2, 1]})
-    found.write()  # the first that arrives is complete
+    found.write()
     found.end()
+    (event,) = _progress(bench, job_id)
+    assert event["first"] and event["tiles"] == [[0, 2], [1, 1]], "the first that arrives is complete"
 
 
 def test_changes_are_places_and_counts():
