@@ -7,7 +7,8 @@ export interface Caps {
   level: number; // bytes of geometry and textures in video memory
 }
 
-const DEFAULT: Caps = { chunks: 256 * 2 ** 20, pages: 384 * 2 ** 20, level: 512 * 2 ** 20 };
+/** What suits most devices. */
+export const DEFAULT_CAPS: Caps = { chunks: 256 * 2 ** 20, pages: 384 * 2 ** 20, level: 512 * 2 ** 20 };
 
 /** What the placement would take as a whole. */
 export function heldBytes(manifest: Manifest): Caps {
@@ -22,11 +23,11 @@ export function heldBytes(manifest: Manifest): Caps {
 }
 
 /**
- * `memoryMb`: all of it together; null: what suits most devices. The level comes first, up to half: without impostors a view
+ * `memoryMb`: all of it together; null: DEFAULT_CAPS. The level comes first, up to half: without impostors a view
  * is slow, without geometry it is boxes. Chunks and pages share the rest as the placement is made.
  */
 export function capsOf(manifest: Manifest, memoryMb: number | null): Caps {
-  if (memoryMb === null || !(memoryMb > 0)) return DEFAULT;
+  if (memoryMb === null || !(memoryMb > 0)) return DEFAULT_CAPS;
   const held = heldBytes(manifest);
   const all = memoryMb * 1e6;
   const level = Math.min(held.level, all / 2);

@@ -8,12 +8,12 @@ import { decodePage, dropPage, type DecodedPage, type PageArray } from "../gl/pa
 import { PlacementFileError } from "../placementdb/errors";
 import type { GeometryPage } from "../placementdb/geometry";
 import type { Placement } from "../placementdb/placement";
+import { DEFAULT_CAPS } from "./caps";
 import { AccessDenied } from "./files";
 import type { PartsWanted } from "./level_plan";
 import { plan, type Plan } from "./plan";
 
 const AT_ONCE = 4;
-export const CHUNK_BYTES_CAP = 256 * 2 ** 20;
 const NOTHING: PartsWanted = { parts: [], urgent: 0, near: 0 };
 
 type Arrived = { page: number; content: DecodedPage } | { part: number; geometry: GeometryPage } | { part: number; image: ImageBitmap };
@@ -42,7 +42,7 @@ export class Streamer {
     private readonly pages: PageArray,
     private readonly onChange: () => void,
     private readonly level: LevelMesh | null = null,
-    private readonly chunkBytesCap = CHUNK_BYTES_CAP,
+    private readonly chunkBytesCap = DEFAULT_CAPS.chunks,
   ) {
     this.firstPage = placement.manifest.chunks.length;
     this.firstPart = this.firstPage + placement.manifest.pages.length;
