@@ -7,6 +7,7 @@
  *          points of a Halton sequence, a dimension a column, squared: many light frames, few heavy ones. Some have no
  *          impostors, some no objects: they tell the constant of a frame from the rest.
  */
+import type { DeviceProfile } from "../api/schema";
 
 export interface Load {
   calls: number;
@@ -91,18 +92,8 @@ export function rectangle(area: number, width: number, height: number): [number,
   return [Math.max(1, Math.min(width, area / h)), h];
 }
 
-/** What a profile, or the fit to all samples so far, says of a frame; nanoseconds a unit. */
-export interface Coefficients {
-  per_frame_ns: number;
-  per_call_ns: number;
-  per_triangle_ns: number;
-  per_pixel_ns: number;
-  per_impostor_ns: number;
-  per_impostor_triangle_ns: number;
-  per_impostor_pixel_ns: number;
-}
-
-export function predictedMs(load: Load, of: Coefficients): number {
+/** What a profile says of a frame: one that was measured, or the fit to all samples so far. */
+export function predictedMs(load: Load, of: DeviceProfile): number {
   return (of.per_frame_ns + of.per_call_ns * load.calls + of.per_triangle_ns * load.triangles + of.per_pixel_ns * load.pixels
     + of.per_impostor_ns * load.impostors + of.per_impostor_triangle_ns * load.impostor_triangles + of.per_impostor_pixel_ns * load.impostor_pixels) / 1e6;
 }
