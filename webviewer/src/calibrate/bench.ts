@@ -7,16 +7,11 @@
  * Each frame is drawn once before, untimed: uploads and compiled shaders are no part of it.
  */
 import { makeView, setViewProjection, PICTURE } from "../draw/view";
-import { makeContext } from "../gl/context";
+import { gpuTimer, makeContext } from "../gl/context";
 import { PictureTarget } from "../gl/picture_target";
 import { Layers } from "./layers";
 import { Objects } from "./objects";
 import { alone, COLUMNS, FIRST, frameAt, FRAMES, MOST, NOTHING, TARGET_MS, type Load, type Sample } from "./plan";
-
-interface TimerQuery {
-  TIME_ELAPSED_EXT: number;
-  GPU_DISJOINT_EXT: number;
-}
 
 const REPEATS = 3;
 const SPAN_MS = 12;
@@ -34,7 +29,7 @@ export class Bench {
   readonly renderer: string;
   readonly timed: "gpu timer" | "fences";
   private readonly gl: WebGL2RenderingContext;
-  private readonly timer: TimerQuery | null;
+  private readonly timer: ReturnType<typeof gpuTimer>;
   private readonly target: PictureTarget;
   private readonly objects: Objects;
   private readonly layers: Layers;
@@ -44,7 +39,7 @@ export class Bench {
   /** `canvas` has the size of the pictures to come. */
   constructor(private readonly canvas: HTMLCanvasElement) {
     const gl = (this.gl = makeContext(canvas));
-    this.timer = gl.getExtension("EXT_disjoint_timer_query_webgl2") as TimerQuery | null;
+    this.timer = gpuTimer(gl);
     this.timed = this.timer ? "gpu timer" : "fences";
     const named = gl.getExtension("WEBGL_debug_renderer_info");
     this.renderer = String(gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER));

@@ -15,6 +15,16 @@ export function makeContext(canvas: HTMLCanvasElement): WebGL2RenderingContext {
   return gl;
 }
 
+interface GpuTimer {
+  TIME_ELAPSED_EXT: number;
+  GPU_DISJOINT_EXT: number;
+}
+
+/** The GPU's own timer; null where the browser offers none. */
+export function gpuTimer(gl: WebGL2RenderingContext): GpuTimer | null {
+  return gl.getExtension("EXT_disjoint_timer_query_webgl2") as GpuTimer | null;
+}
+
 export interface Program {
   handle: WebGLProgram;
   uniform: (name: string) => WebGLUniformLocation | null;

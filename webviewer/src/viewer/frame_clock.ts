@@ -1,9 +1,5 @@
 /** How long frames take: the GPU's own timer where there is one, else the interval between frames. */
-
-interface TimerQuery {
-  TIME_ELAPSED_EXT: number;
-  GPU_DISJOINT_EXT: number;
-}
+import { gpuTimer } from "../gl/context";
 
 export const FRAMES_KEPT = 140;
 
@@ -17,7 +13,7 @@ export class FrameClock {
   measured: ((frame: number, ms: number) => void) | null = null;
   readonly source: "gpu timer" | "frame interval";
   private readonly gl: WebGL2RenderingContext;
-  private readonly timer: TimerQuery | null;
+  private readonly timer: ReturnType<typeof gpuTimer>;
   private readonly waiting: { query: WebGLQuery; frame: number; cpuMs: number }[] = [];
   private readonly free: WebGLQuery[] = [];
   private active: WebGLQuery | null = null;
@@ -26,7 +22,7 @@ export class FrameClock {
 
   constructor(gl: WebGL2RenderingContext) {
     this.gl = gl;
-    this.timer = gl.getExtension("EXT_disjoint_timer_query_webgl2") as TimerQuery | null;
+    this.timer = gpuTimer(gl);
     this.source = this.timer ? "gpu timer" : "frame interval";
   }
 
