@@ -2,20 +2,20 @@
 import type { Sample } from "../calibrate/plan";
 import { h, s } from "./element";
 import { ticks } from "./live";
+import { Redraw } from "./redraw";
 
 export interface Measured extends Sample {
   predictedMs: number | null; // null: nothing was fitted yet
   seen: boolean; // the fit knew this frame
 }
 
-const REDRAW_MS = 250;
 const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [400, 300, 44, 388, 22, 262];
 
 export class DevicePlot {
   readonly element = h("figure", { class: "plot" });
   private readonly svg = s("svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
   private readonly said = h("figcaption", { class: "small q" });
-  private timer: ReturnType<typeof setTimeout> | undefined;
+  private readonly redraw = new Redraw(() => this.draw());
   private points: readonly Measured[] = [];
 
   constructor() {
@@ -25,12 +25,11 @@ export class DevicePlot {
 
   show(points: readonly Measured[]): void {
     this.points = points;
-    this.timer ??= setTimeout(() => this.draw(), REDRAW_MS);
+    this.redraw.soon();
   }
 
   private draw(): void {
-    clearTimeout(this.timer);
-    this.timer = undefined;
+    this.redraw.done();
     const { points } = this;
     const most = points.reduce((m, p) => Math.max(m, p.ms, p.predictedMs ?? 0), 1);
     const marks = ticks(most, 4);

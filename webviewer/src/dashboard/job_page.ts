@@ -15,6 +15,7 @@ import { LivePanel } from "./live_panel";
 import { LogDrawer } from "./log_drawer";
 import { liveMapData, readMap } from "./map_data";
 import { readPlan } from "./read_plan";
+import { Redraw } from "./redraw";
 import type { Report } from "./report_types";
 import { planCaption } from "./scene_plan";
 import { ShardGrid } from "./shard_grid";
@@ -23,7 +24,6 @@ import { ViewMap } from "./view_map";
 
 const LOG_EVENTS = 500; // of the past, read for the log
 const REREAD_MS = 400;
-const REDRAW_MS = 250;
 const TICK_MS = 1000;
 
 const id = decodeURIComponent(location.pathname.split("/").filter(Boolean)[1] ?? "");
@@ -116,16 +116,15 @@ async function start(): Promise<void> {
   }
 
   let footprints: Box[] | null = null;
-  let mapTimer: ReturnType<typeof setTimeout> | undefined;
   /** The map of what the optimiser tells, until there is that of the placement. */
   const drawLive = async (): Promise<void> => {
-    mapTimer = undefined;
     const done = (): boolean => job.state === "done";
     if (!live.map || done()) return;
     footprints ??= await readObjects(job.scene).then(({ objects }) => objects.map((o) => o.box), () => []);
     if (!map && !done()) left.replaceChildren((map = new ViewMap(liveMapData(live.map, footprints), null)).element);
     if (live.tiles) map?.setUnsolved(live.tiles);
   };
+  const mapDraw = new Redraw(() => void drawLive());
 
   async function readAllShards(): Promise<void> {
     for (const stage of job.stages) if (stage.state !== "waiting") setShards(state, stage.name, (await readShards(id, stage.name)).shards);
@@ -154,7 +153,7 @@ async function start(): Promise<void> {
     event: (event: JobEvent) => {
       if (takeLive(live, event)) {
         curves.changed();
-        mapTimer ??= setTimeout(() => void drawLive(), REDRAW_MS);
+        mapDraw.soon();
       }
       if (apply(state, event)) reread();
       else if (event.kind !== "progress") bump(job, event);

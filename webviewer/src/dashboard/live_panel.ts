@@ -4,8 +4,8 @@ import { csv, download } from "../ui/csv";
 import { h, s } from "./element";
 import { clock } from "./format";
 import { ticks, type Live, type LivePoint } from "./live";
+import { Redraw } from "./redraw";
 
-const REDRAW_MS = 250;
 const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [400, 124, 44, 330, 18, 100];
 
 export class LivePanel {
@@ -14,7 +14,7 @@ export class LivePanel {
   private readonly memory = chart();
   private readonly unsolved = chart();
   private readonly button = h("button", { class: "btn plain", type: "button", "aria-label": "Curves as CSV", disabled: true, onclick: () => this.save() }, "CSV");
-  private timer: ReturnType<typeof setTimeout> | undefined;
+  private readonly redraw = new Redraw(() => this.draw());
 
   constructor(private readonly live: Live, private readonly name: string) {
     this.element.append(h("header", null, h("h2", { id: "lh" }, "Optimiser"), h("div", { class: "end" }, this.said, this.button)), this.memory, this.unsolved);
@@ -22,12 +22,11 @@ export class LivePanel {
   }
 
   changed(): void {
-    this.timer ??= setTimeout(() => this.draw(), REDRAW_MS);
+    this.redraw.soon();
   }
 
   draw(): void {
-    clearTimeout(this.timer);
-    this.timer = undefined;
+    this.redraw.done();
     const { points, hopeless } = this.live;
     const last = points.at(-1);
     this.said.textContent = last ? `updated ${clock(last.atMs)}` : "begins with the stage placement";

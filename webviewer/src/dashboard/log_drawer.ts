@@ -3,8 +3,8 @@ import { download } from "../ui/csv";
 import { h, refill } from "./element";
 import { clock } from "./format";
 import type { JobState, Level, LogLine } from "./job_state";
+import { Redraw } from "./redraw";
 
-const REDRAW_MS = 250;
 const WORD: Record<Level, string> = { info: "info", warn: "warn", error: "error" };
 const COLOUR: Record<Level, string> = { info: "", warn: "over", error: "fail" };
 
@@ -15,7 +15,7 @@ export class LogDrawer {
   private readonly follow = h("button", { type: "button", "aria-pressed": "true" }, "Follow");
   private readonly select = h("select", { "aria-label": "Stage or shard" }, h("option", { value: "" }, "all stages"));
   private readonly levels: HTMLInputElement[] = [];
-  private timer: ReturnType<typeof setTimeout> | undefined;
+  private readonly redraw = new Redraw(() => this.draw());
   private scrolling = false;
   private one: HTMLOptionElement | null = null; // a shard whose lines alone are shown
 
@@ -65,7 +65,7 @@ export class LogDrawer {
   }
 
   changed(): void {
-    this.timer ??= setTimeout(() => this.draw(), REDRAW_MS);
+    this.redraw.soon();
   }
 
   private shown(): LogLine[] {
@@ -76,8 +76,7 @@ export class LogDrawer {
   }
 
   private draw(): void {
-    clearTimeout(this.timer);
-    this.timer = undefined;
+    this.redraw.done();
     const last = this.state.log.at(-1);
     this.last.textContent = last ? text(last) : "nothing yet";
     const count = (level: Level): number => this.state.log.filter((l) => l.level === level).length;

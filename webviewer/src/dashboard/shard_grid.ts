@@ -2,11 +2,11 @@
 import { h, s } from "./element";
 import { duration, plural } from "./format";
 import { squares, type JobState, type Shard, type Square } from "./job_state";
+import { Redraw } from "./redraw";
 import { bytes } from "../ui/format";
 
 const COLUMNS = 40;
 const PITCH = 10;
-const REDRAW_MS = 250;
 const WORKING = 6;
 
 interface Row {
@@ -23,7 +23,7 @@ export class ShardGrid {
   private readonly working = h("tbody");
   private readonly tip = h("p", { class: "tip", role: "status" });
   private readonly held = new Map<string, Row>();
-  private timer: ReturnType<typeof setTimeout> | undefined;
+  private readonly redraw = new Redraw(() => this.draw());
   private only: string | null = null;
 
   /** `chosen` hears which shard is clicked, or named by Enter, as the log calls it. */
@@ -39,12 +39,11 @@ export class ShardGrid {
 
   /** Draws soon. */
   changed(): void {
-    this.timer ??= setTimeout(() => this.draw(), REDRAW_MS);
+    this.redraw.soon();
   }
 
   draw(): void {
-    clearTimeout(this.timer);
-    this.timer = undefined;
+    this.redraw.done();
     let total = 0;
     let ended = 0;
     let retried = 0;
