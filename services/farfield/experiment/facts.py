@@ -38,6 +38,6 @@ def facts_of(ran: Ran) -> dict[str, Any]:
         "views_each": len(placement.serve) / count if count else 0.0,
         "layers_each": float(placement.layers.mean()) if count else 0.0,
         "overrun_mean": float((views.cost / max(model.target, 1)).mean() - 1) if n else 0.0,
-        "seen_mean": seen, "visibility": str(visible.mode), "skipped_visibility": ran.times[Stage.VISIBILITY].skipped,
+        "seen_mean": seen, "skipped_visibility": ran.times[Stage.VISIBILITY].skipped,
         "cpu": known, "cpu_seconds": math.fsum(v for v in known.values() if v is not None),
     }  # fmt: skip

@@ -73,8 +73,7 @@ def views(sweep: Sweep, settings: Settings, count: int) -> Section:
         one = replace(one, view_space=replace(one.view_space, cell_m=size, interval_deg=degrees))
         ran = sweep.run(one, until=Stage.PLACEMENTDB, label=name, skip=(Stage.BOUND,))
         shares = [(count // 4 + (k < count % 4), k) for k in range(4)]
-        found = sweep.measure("farfield.experiment.truths:bounds", ran, [s for s in shares if s[0]], label=name)
-        parts = [value for value, _ in found]
+        parts = sweep.measure("farfield.experiment.truths:bounds", ran, [s for s in shares if s[0]], label=name)
         union = sorted(r for p in parts for r in p["union"])
         worst = sorted(r for p in parts for r in p["worst"])
         rows.append({
@@ -128,7 +127,7 @@ def visibility(sweep: Sweep, settings: Settings, pictures: int) -> Section:
     level = sweep.run(_no_proof(_placing(off, **BARE)), until=Stage.PLACEMENTDB, label="the level", skip=(Stage.BOUND,))
     sets = [str(ran.artifacts[Stage.VISIBILITY]) for _, ran in runs]
     try:
-        [(seen, _)] = sweep.measure(
+        [seen] = sweep.measure(
             "farfield.experiment.item_buffers:missed_apart",
             level,
             [(sets, pictures, settings.seed)],
@@ -226,7 +225,7 @@ def image(sweep: Sweep, settings: Settings, pairs: int) -> Section:
         ran = sweep.run(one, until=Stage.PLACEMENTDB, label=name, skip=(Stage.BOUND,))
         calls = [(pairs // 2 * k, pairs // 2 if k == 0 else pairs - pairs // 2, settings.seed) for k in (0, 1)]
         found = sweep.measure("farfield.experiment.truths:pictures", ran, calls, label=name)
-        proof = _merged([value for value, _ in found])
+        proof = _merged(found)
         if proof["not_proven"]:
             return not_tried("image", proof["not_proven"])
         renderer, repaired = proof["renderer"], ran.inputs().get(Stage.REPAIR)

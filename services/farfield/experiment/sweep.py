@@ -14,7 +14,6 @@ import json
 import multiprocessing
 import os
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from farfield.steps.model import Inputs
 from farfield.steps.result import write_files
 
 Tell = Callable[[str], None]
-MEASURES = 1  # bumped when a measurement's result changes
+MEASURES = 2  # bumped when a measurement's result changes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +36,6 @@ class StageTime:
 
     seconds: float | None
     cpu_seconds: float | None
-    peak_bytes: int
     skipped: str | None
 
 
@@ -119,19 +117,12 @@ class Sweep:
                 (cache / stage).symlink_to(shared.resolve(), target_is_directory=True)
         return cache
 
-    def measure(
-        self, function: str, ran: Ran, calls: Sequence[tuple[Any, ...]], *, label: str
-    ) -> list[tuple[Any, float]]:
-        """Return (value, processor seconds) of `function(folder, *arguments)` for each call, in processes of their own.
+    def measure(self, function: str, ran: Ran, calls: Sequence[tuple[Any, ...]], *, label: str) -> list[Any]:
+        """Return `function(folder, *arguments)` for each call, in processes of their own.
 
         function  "module:name", returns JSON values; of the files that `place` would write into `folder`
         """
-        return self.measure_of(function, ran.artifacts[Stage.PLACEMENTDB], ran.digests[Stage.PLACEMENTDB], calls, label)
-
-    def measure_of(
-        self, function: str, artifact: Path, digest: str, calls: Sequence[tuple[Any, ...]], label: str
-    ) -> list[tuple[Any, float]]:
-        """As `measure`, of one artifact: files where it is a placement database, else `function(artifact, ...)`."""
+        artifact, digest = ran.artifacts[Stage.PLACEMENTDB], ran.digests[Stage.PLACEMENTDB]
         folder = self.cache / "measured"
         folder.mkdir(exist_ok=True)
         kept = [folder / f"{_key(function, digest, call)}.json" for call in calls]
@@ -139,14 +130,14 @@ class Sweep:
         if missing and self._pool is None:
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(self.workers, mp_context=context)
-        futures = {k: self._pool.submit(_measure, function, str(artifact), calls[k]) for k in missing if self._pool}
+        futures = {k: self._pool.submit(_measure, function, artifact, calls[k]) for k in missing if self._pool}
         for n, (k, future) in enumerate(futures.items()):
             self.tell(f"{label}: {n}/{len(futures)}")
             text = json.dumps(future.result(), sort_keys=True)
             part = kept[k].with_suffix(f".{os.getpid()}.part")
             part.write_text(text, encoding="utf-8")
             part.replace(kept[k])
-        return [(value, float(seconds)) for value, seconds in (json.loads(path.read_text()) for path in kept)]
+        return [json.loads(path.read_text()) for path in kept]
 
 
 def _key(function: str, digest: str, call: Sequence[Any]) -> str:
@@ -154,18 +145,13 @@ def _key(function: str, digest: str, call: Sequence[Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _measure(function: str, artifact: str, call: Sequence[Any]) -> tuple[Any, float]:
-    module, name = function.split(":")
-    before = time.process_time()
-    if Path(artifact).parent.name != str(Stage.PLACEMENTDB):
-        value = getattr(importlib.import_module(module), name)(Path(artifact), *call)
-    else:
-        from farfield.executor import map_file
+def _measure(function: str, artifact: Path, call: Sequence[Any]) -> Any:
+    from farfield.executor import map_file
 
-        with tempfile.TemporaryDirectory(prefix="farfield-") as folder:
-            write_files(map_file(Path(artifact)), Path(folder))
-            value = getattr(importlib.import_module(module), name)(Path(folder), *call)
-    return value, time.process_time() - before
+    module, name = function.split(":")
+    with tempfile.TemporaryDirectory(prefix="farfield-") as folder:
+        write_files(map_file(artifact), Path(folder))
+        return getattr(importlib.import_module(module), name)(Path(folder), *call)
 
 
 def _time(artifact: Path, ran: StageRun, cpu_seconds: float) -> StageTime:
@@ -173,14 +159,9 @@ def _time(artifact: Path, ran: StageRun, cpu_seconds: float) -> StageTime:
     beside = artifact.with_name(artifact.name + ".took")
     cpu = cpu_seconds if cpu_seconds > 0 else ran.seconds
     if ran.reused == 0:
-        beside.write_text(json.dumps([ran.seconds, cpu, ran.peak_bytes]), encoding="utf-8")
-    kept = json.loads(beside.read_text()) if beside.exists() else [None, None, None]
-    return StageTime(
-        seconds=kept[0],
-        cpu_seconds=kept[1],
-        peak_bytes=ran.peak_bytes if kept[2] is None else kept[2],
-        skipped=ran.skipped,
-    )
+        beside.write_text(json.dumps([ran.seconds, cpu]), encoding="utf-8")
+    kept = json.loads(beside.read_text()) if beside.exists() else [None, None]
+    return StageTime(seconds=kept[0], cpu_seconds=kept[1], skipped=ran.skipped)
 
 
 def _cpu_below(ancestor: int) -> float:

@@ -154,7 +154,7 @@ def build(job: Job, args: argparse.Namespace) -> dict[str, Any]:
             rows[test.key] = facts
             if test.key in ("1", "2", "3", "4", "5", "6", "15", "16"):
                 call = ("farfield.experiment.frames:walk_costs", ran, [(args.frames,)])
-                walks[test.key] = sweep.measure(*call, label=f"walk {test.key}")[0][0]
+                walks[test.key] = sweep.measure(*call, label=f"walk {test.key}")[0]
     budgets = {test.key: test.settings[0].budget for test in tests}
     table = [compare(test, rows) for test in tests]
     sections = [_table(table), _ways(table), *_walks(walks, budgets), _times(tests, rows)]

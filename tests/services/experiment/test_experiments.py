@@ -23,7 +23,7 @@ from towns import town
 
 FACTS: dict[str, Any] = {
     "problem_views": 100, "hopeless": 0, "hopeless_share": 0.0, "candidates": 50, "impostors": 9, "bytes": 1000,
-    "boxes_share": 0.2, "views_each": 4.0, "layers_each": 2.0, "overrun_mean": 0.5, "seen_mean": 80.0, "visibility": "sampled",
+    "boxes_share": 0.2, "views_each": 4.0, "layers_each": 2.0, "overrun_mean": 0.5, "seen_mean": 80.0,
     "skipped_visibility": None, "cpu": {}, "cpu_seconds": 1.0,
 }  # fmt: skip
 
@@ -139,7 +139,7 @@ class NoSweep:
         return self
 
     def measure(self, *_: Any, **__: Any) -> list[Any]:
-        return [({"placed": [1, 2], "plain": [3, 4], "hopeless": [False, True]}, 0.0)]
+        return [{"placed": [1, 2], "plain": [3, 4], "hopeless": [False, True]}]
 
 
 def test_table1_states_the_settings_that_its_tests_start_from(tmp_path, monkeypatch):
