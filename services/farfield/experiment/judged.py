@@ -1,10 +1,11 @@
 """The five curves of error against run time: each runs its sweep, holds it against the truth, and returns its section."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from farfield.experiment.document import Column, Plot, Section, Series, pareto
 from farfield.experiment.sweep import Sweep
@@ -292,14 +293,8 @@ def frame(sweep: Sweep, settings: Settings, samples: Path | None) -> Section:
     )  # fmt: skip
 
 
-def _quantile(ordered: Sequence[float], share: float) -> float | None:
-    """Return a quantile of ascending values, linear between them."""
-    if not ordered:
-        return None
-    at = share * (len(ordered) - 1)
-    low = math.floor(at)
-    high = min(low + 1, len(ordered) - 1)
-    return ordered[low] + (ordered[high] - ordered[low]) * (at - low)
+def _quantile(values: Sequence[float], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
 
 
 JUDGED: dict[str, Callable[..., Section]] = {
