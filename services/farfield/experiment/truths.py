@@ -29,7 +29,7 @@ def pictures(folder: Path, first: int, count: int, seed: int) -> dict[str, Any]:
 def fitted(samples: Path) -> list[dict[str, Any]]:
     """Return a row for each number of samples that a profile was fitted to: its errors on a quarter that none has seen."""
     from farfield.errors import FarfieldError
-    from farfield.rendertime.fit import MIN_SAMPLES, fit_profile
+    from farfield.rendertime.fit import MIN_SAMPLES, fit_profile, predicted_ns
     from farfield.rendertime.samples import read_samples
     from farfield.settings import COEFFICIENTS
 
@@ -50,8 +50,7 @@ def fitted(samples: Path) -> list[dict[str, Any]]:
             rows.append({**row, "mean_ms": None, "p95_ms": None, "under_share": None, "why": str(error)})
             continue
         coefficient = np.array([float(getattr(profile, name)) for name in COEFFICIENTS])
-        predicted = (coefficient[0] + (held[:, :-1] * coefficient[1:]).sum(1)) / 1e6
-        over = predicted - held[:, -1]
+        over = predicted_ns(held, coefficient) / 1e6 - held[:, -1]
         rows.append({**row, "mean_ms": float(over.mean()), "p95_ms": float(np.quantile(over, 0.95)),
                      "under_share": float((over < 0).mean())})  # fmt: skip
     return rows

@@ -57,12 +57,12 @@ def fit_profile(samples: np.ndarray) -> DeviceProfile:
         raise SamplesDegenerate(
             f"{COEFFICIENTS[int(coefficient.argmax())]} would be over a second; are the times milliseconds?"
         )
-    over_ms = (_predicted_ns(samples, coefficient) - samples[:, -1] * 1e6) / 1e6
+    over_ms = (predicted_ns(samples, coefficient) - samples[:, -1] * 1e6) / 1e6
     fold = np.arange(len(samples)) % FOLDS
     unseen = 0
     for k in range(FOLDS):
         rest = samples[fold == k]
-        unseen += int((_predicted_ns(rest, _quantile_fit(samples[fold != k])) < rest[:, -1] * 1e6).sum())
+        unseen += int((predicted_ns(rest, _quantile_fit(samples[fold != k])) < rest[:, -1] * 1e6).sum())
     return DeviceProfile(
         **dict(zip(COEFFICIENTS, (int(coefficient[0]), *coefficient[1:].tolist()))),
         fit=Fit(
@@ -86,13 +86,14 @@ def _quantile_fit(samples: np.ndarray) -> np.ndarray:
     raw = np.maximum(-dual.ineqlin.marginals, 0.0) * ms.max() * 1e6 / scale
     raw[raw * scale < 1.0] = 0.0  # below a nanosecond in the fullest frame
     coefficient = np.array([_rounded_up(float(c)) for c in raw])
-    short_ns = np.sort(ms * 1e6 - _predicted_ns(samples, coefficient))
+    short_ns = np.sort(ms * 1e6 - predicted_ns(samples, coefficient))
     allowed = int((1 - QUANTILE) * len(samples) + 1e-9)
     coefficient[0] = np.ceil(coefficient[0] + max(0.0, float(short_ns[len(samples) - 1 - allowed])))
     return coefficient
 
 
-def _predicted_ns(samples: np.ndarray, coefficient: np.ndarray) -> np.ndarray:
+def predicted_ns(samples: np.ndarray, coefficient: np.ndarray) -> np.ndarray:
+    """Return (S,) f64: what a profile's coefficients (7,) say that samples (S,7) take; their last column is not read."""
     return coefficient[0] + (samples[:, :-1] * coefficient[1:]).sum(1)
 
 
