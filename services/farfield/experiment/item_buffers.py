@@ -60,7 +60,7 @@ def missed(folder: str, sets: list[str], views: int, seed: int) -> Any:
         if _look(drawer, placement, position, 0.0, math.pi / 2, every, 3)[1, 1] > 0:
             continue
         what = _look(drawer, placement, position, turn, tilt, every, SIDE)
-        cell = placement.lookup(position, np.array([1.0, 0.0, 0.0])).cell
+        cell = placement.find_cell(position)
         objects, count = np.unique(what[what > 0] - 1, return_counts=True)
         drawn, pixels = drawn + 1, pixels + what.size
         pairs.update((cell, int(o)) for o in objects)
