@@ -23,9 +23,10 @@ import numpy as np
 from farfield.errors import FarfieldError, SettingsInvalid
 from farfield.experiment.browser import PageFailed, Pages, find_browser, find_pages
 from farfield.experiment.document import Column, Job, Plot, Section, Series, document
+from farfield.experiment.error_time import in_boxes
 from farfield.experiment.route import district, make_route
 from farfield.experiment.sweep import Ran, Sweep
-from farfield.settings import Settings, from_mapping, parse_budget, to_mapping
+from farfield.settings import Settings, parse_budget
 from farfield.stages import Stage
 from farfield.steps.result import write_files
 
@@ -146,9 +147,7 @@ def _in_district(sweep: Sweep, settings: Settings, boxes: int) -> Settings:
     """Return the settings with a view space of so many boxes, cells as large as they were."""
     scene = sweep.run(settings, until=Stage.SCENE, label="view space").inputs().get(Stage.SCENE)
     chosen = (scene.view_boxes + scene.origin_m)[district(scene.view_boxes, boxes)]
-    space = {"boxes": chosen.tolist(), "cell_m": float(scene.cell_m)}
-    given = to_mapping(settings)
-    return from_mapping(given | {"view_space": given["view_space"] | space})
+    return in_boxes(settings, chosen, cell_m=float(scene.cell_m))
 
 
 def _without_limit(budget: str) -> str:

@@ -96,5 +96,10 @@ def middle(settings: Settings, scene: Any, most: int) -> Settings:
             high[:, axis] = high[:, axis].clip(None, at[axis] + side)
         kept = (low[:, 0] < high[:, 0]) & (low[:, 2] < high[:, 2])
         boxes = boxes if not kept.any() else [[a, b] for a, b in zip(low[kept], high[kept], strict=True)]
-    corners = tuple((tuple(map(float, low)), tuple(map(float, high))) for low, high in boxes)
-    return replace(settings, view_space=replace(settings.view_space, boxes=corners, cell_m=float(scene.cell_m)))  # type: ignore[arg-type]
+    return in_boxes(settings, boxes, cell_m=float(scene.cell_m))
+
+
+def in_boxes(settings: Settings, boxes: Any, **more: Any) -> Settings:
+    """Return the settings with a view space of boxes (B,2,3), scene metres, and what else of it is given."""
+    corners: Any = tuple((tuple(map(float, low)), tuple(map(float, high))) for low, high in boxes)
+    return replace(settings, view_space=replace(settings.view_space, boxes=corners, **more))

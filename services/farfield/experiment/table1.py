@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from farfield.experiment.document import Column, Job, Plot, Section, Series, document
+from farfield.experiment.error_time import in_boxes, middle
 from farfield.settings import CameraSettings, Settings, parse_budget
 from farfield.stages import Stage
 
@@ -81,10 +82,6 @@ def tests_of(settings: Settings, *, cell_m: float, boxes: np.ndarray, far_m: flo
     def chosen(**changes: Any) -> Settings:
         return replace(ref, placement=replace(ref.placement, **changes))
 
-    def within(half: np.ndarray) -> Settings:
-        corners = tuple((tuple(map(float, low)), tuple(map(float, high))) for low, high in half)
-        return replace(ref, view_space=replace(ref.view_space, boxes=corners))  # type: ignore[arg-type]
-
     paper_way = {"view_cells": "raw", "assignment": "all", "reverse_delete": False}
     off = replace(time_of(30), visibility=replace(ref.visibility, mode="off"))
     alone = chosen(candidates="cells")
@@ -114,8 +111,8 @@ def tests_of(settings: Settings, *, cell_m: float, boxes: np.ndarray, far_m: flo
         Test(key="p", name="the paper's own way (raw shafts)", settings=(chosen(candidates="shafts", **paper_way),), base="1"),
         Test(key="pb", name="the same with raw boxes", settings=(chosen(candidates="boxes", **paper_way),), base="p",
              paper=(9078, 812248, 16530, 18.9), paper_base_mb=14.1),
-        Test(key="n1", name="one half of the view space", settings=(within(halves[0]),)),
-        Test(key="n2", name="the other half", settings=(within(halves[1]),), base="n1", paper=(None, None, None, 501.0),
+        Test(key="n1", name="one half of the view space", settings=(in_boxes(ref, halves[0]),)),
+        Test(key="n2", name="the other half", settings=(in_boxes(ref, halves[1]),), base="n1", paper=(None, None, None, 501.0),
              paper_base_mb=146.0),
     ]  # fmt: skip
 
@@ -133,7 +130,6 @@ def halve(boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def build(job: Job, args: argparse.Namespace) -> dict[str, Any]:
     """Run the tests and return the document."""
-    from farfield.experiment.error_time import middle
     from farfield.experiment.facts import facts_of, scene_counts
     from farfield.experiment.reasons import compare
     from farfield.experiment.sweep import Sweep
