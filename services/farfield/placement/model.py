@@ -48,7 +48,11 @@ def only_fresh(placement: Placement) -> Placement:
     if not len(placement.base):
         return placement
     of_impostor = ("cluster", "kind", "view_cell", "bytes", "layers", "cost", "base")
-    return replace(placement, **{name: getattr(placement, name)[fresh_of(placement)] for name in of_impostor})
+    fresh = fresh_of(placement)
+    return replace(
+        placement, **{name: getattr(placement, name)[fresh] for name in of_impostor}, serve=placement.serve[:0],
+        serve_row=np.zeros_like(placement.serve_row),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -155,6 +155,9 @@ def test_a_changed_level_is_placed_on_what_still_holds(old, base, change):
     kept = p.base >= 0
     assert kept.mean() > 0.5
     assert p.bytes.sum() <= 1.3 * level.repaired.bytes.sum()
+    fresh = only_fresh(p)
+    assert (fresh.base < 0).all() and len(fresh.cluster) == (p.base < 0).sum()
+    assert not len(fresh.serve) and not fresh.serve_row.any()  # ids of the whole placement would mean others here
     digest = object_digests(scene)
     for i in np.flatnonzero(kept):
         c, k = p.cluster[i], p.base[i]
@@ -194,5 +197,7 @@ def test_another_view_space_keeps_what_can_be_kept(old, base):
 
 
 def test_a_moved_origin_keeps_nothing_and_is_placed_all_the_same(old, base):
-    _, p = placed_on(replace(base, object_digest=np.zeros_like(base.object_digest)), old)
+    origin = old.scene.origin_m + np.array([1.0, 0.0, 0.0])
+    then = replace(base, origin_m=origin, object_digest=object_digests(replace(old.scene, origin_m=origin)))
+    _, p = placed_on(then, old)
     assert verdict(p, old.model) == "valid" and len(fresh_of(p)) == len(p.cluster)
