@@ -1,9 +1,8 @@
 """Every page of the dashboard against the rules of axe-core, light and dark, wide and small."""
 
-import json
-
 import pytest
 from browser.page_service import ROOT
+from browser.visitor import level, sign_in, submit
 from farfield.store import workers
 from farfield.store.workers import Telling
 
@@ -39,26 +38,13 @@ def service(service):
     return service
 
 
-def _sign_in(page, service):
-    page.goto(f"{service.url}/jobs")
-    page.fill("#key", service.operator)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#new")
-
-
 @pytest.fixture(scope="module")
 def job(browser, service):
     """A finished job of the operator's."""
     page = browser.new_page()
-    _sign_in(page, service)
-    wish = {"shards": 3, "picture": True}
-    page.set_input_files(
-        "#new input[type=file]", {"name": "a.glb", "mimeType": "", "buffer": json.dumps(wish).encode()}
-    )
-    page.click("text=Start job")
-    page.wait_for_url("**/jobs/*")
+    sign_in(page, service, service.operator)
+    found = submit(page, level("a.glb", shards=3, picture=True))
     page.wait_for_selector("text=Compare", timeout=30_000)
-    found = page.url.rsplit("/", 1)[1]
     page.close()
     return found
 
@@ -90,7 +76,7 @@ def test_no_page_breaks_a_rule_of_accessibility(open_page, service, job):
     page.goto(f"{service.url}/jobs")
     page.wait_for_selector("#key")
     found = {"sign in": _violations(page)}
-    _sign_in(page, service)
+    sign_in(page, service, service.operator)
     for address in PAGES:
         page.goto("about:blank")
         page.goto(service.url + address.replace("JOB", job))

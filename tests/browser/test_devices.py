@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from browser.visitor import sign_in
 
 pytestmark = pytest.mark.browser
 SEND = """async ([id, samples]) => {
@@ -27,10 +28,7 @@ def _samples(n):
 
 def test_a_device_is_measured_until_it_is_stopped_and_what_is_missing_is_said(open_page, service):
     page, wrong = open_page()
-    page.goto(f"{service.url}/devices")
-    page.fill("#key", service.key)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#dh")
+    sign_in(page, service, address="/devices", there="#dh")
     assert "preset, not measured" in page.inner_text(".devs")
     page.fill("#dev-name", "laptop")
     page.keyboard.press("Enter")
@@ -61,9 +59,6 @@ def test_a_device_is_measured_until_it_is_stopped_and_what_is_missing_is_said(op
 
 def test_who_only_reads_is_told_why_nothing_is_measured(open_page, service):
     page, _ = open_page(390)
-    page.goto(f"{service.url}/devices")
-    page.fill("#key", service.reader)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#dh")
+    sign_in(page, service, service.reader, address="/devices", there="#dh")
     assert page.is_disabled("#measure form button") and "may read only" in page.inner_text("#measure")
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

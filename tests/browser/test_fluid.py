@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from browser.visitor import sign_in
 
 pytestmark = pytest.mark.browser
 JOB = "ab" * 16
@@ -62,10 +63,7 @@ def _answer(value):
 @pytest.fixture
 def page(open_page, service):
     page, wrong = open_page()
-    page.goto(f"{service.url}/jobs")
-    page.fill("#key", service.key)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#new")
+    sign_in(page, service)
     yield page
     assert [text for text in wrong if "status of 40" not in text] == []
 

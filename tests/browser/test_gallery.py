@@ -1,10 +1,9 @@
 """Pictures of every page, to be looked at: out/pictures/pages/, light, dark and small. None jumps or is too wide."""
 
-import json
-
 import pytest
 from browser.page_service import ROOT
 from browser.test_live import words
+from browser.visitor import level, sign_in
 from farfield.store import workers
 from farfield.store.workers import Telling
 
@@ -44,12 +43,9 @@ def context(browser, service):
     page.goto(f"{service.url}/jobs")
     page.wait_for_selector("#key")
     _pictures(page, "sign-in")
-    page.fill("#key", service.operator)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#new")
-    wish = {"shards": 40, "picture": True, "tell": words(), "tell_seconds": 0.1}
-    level = {"name": "Innere Stadt.glb", "mimeType": "", "buffer": json.dumps(wish).encode()}
-    page.set_input_files("#new input[type=file]", level)
+    sign_in(page, service, service.operator)
+    file = level("Innere Stadt.glb", shards=40, picture=True, tell=words(), tell_seconds=0.1)
+    page.set_input_files("#new input[type=file]", file)
     page.wait_for_selector("text=Start job")
     page.wait_for_selector(".plan.seen image")
     _pictures(page, "new-job")

@@ -1,10 +1,10 @@
 """A running optimiser as the job page shows it: curves, the map of what is unsolved, the heading; from its events alone."""
 
-import json
 import math
 import re
 
 import pytest
+from browser.visitor import level, sign_in, submit
 
 pytestmark = pytest.mark.browser
 WIDE, DEEP, SIDE_M, STEPS = 24, 16, 20, 7
@@ -28,21 +28,10 @@ def words():
     return told
 
 
-def _start(page, service, name):
-    page.goto(f"{service.url}/jobs")
-    page.fill("#key", service.key)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#new")
-    wish = {"shards": 4, "picture": True, "tell": words(), "tell_seconds": 1.2}
-    level = {"name": name, "mimeType": "", "buffer": json.dumps(wish).encode()}
-    page.set_input_files("#new input[type=file]", level)
-    page.click("text=Start job")
-    page.wait_for_url("**/jobs/*")
-
-
 def test_the_optimiser_is_watched_while_it_runs(open_page, service):
     page, wrong = open_page()
-    _start(page, service, "live.glb")
+    sign_in(page, service)
+    submit(page, level("live.glb", shards=4, picture=True, tell=words(), tell_seconds=1.2))
     page.wait_for_selector(".map .cells .u3", timeout=30_000)
     page.wait_for_selector("text=Heading for infeasible")
     banner = page.inner_text(".tobe")

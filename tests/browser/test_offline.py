@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser.page_service import GOLDEN, WEB, PageService
+from browser.visitor import sign_in
 from pictures import picture
 
 pytestmark = [
@@ -39,10 +40,7 @@ def visitor(browser: Any, service: PageService) -> Iterator[Callable[[str | None
     def visit(key: str | None) -> Any:
         page = profile.new_page()
         if key is not None:
-            page.goto(f"{service.url}/jobs")
-            page.fill("#key", key)
-            page.keyboard.press("Enter")
-            page.wait_for_selector("#sign-out:not([hidden])")
+            sign_in(page, service, key, there="#sign-out:not([hidden])")
         return page
 
     yield visit

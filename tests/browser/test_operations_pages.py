@@ -5,6 +5,7 @@ import io
 import re
 
 import pytest
+from browser.visitor import sign_in
 from farfield.store import workers
 from farfield.store.workers import Telling
 
@@ -17,10 +18,7 @@ def visit(open_page, service):
 
     def make(address, key, width=1280):
         page, wrong = open_page(width)
-        page.goto(service.url + address)
-        page.fill("#key", key)
-        page.keyboard.press("Enter")
-        page.wait_for_selector("main h1:not(#sign-h)")
+        sign_in(page, service, key, address=address, there="main h1:not(#sign-h)")
         return page, wrong
 
     return make

@@ -3,12 +3,12 @@
 import csv
 import gzip
 import io
-import json
 import re
 import time
 
 import pytest
 from browser.page_service import WEB
+from browser.visitor import level, sign_in, submit
 
 pytestmark = [
     pytest.mark.browser,
@@ -30,26 +30,6 @@ def page(browser, service):
     yield page
     context.close()
     assert [text for text in found if not page.allowed_errors.search(text)] == []
-
-
-def sign_in(page, service, key=None):
-    page.goto(f"{service.url}/jobs")
-    page.fill("#key", key or service.key)
-    page.keyboard.press("Enter")
-    page.wait_for_selector("#new")
-
-
-def level(name="level.glb", **wish):
-    """Return a toy level as a file to choose; `salt` tells levels apart that wish for the same."""
-    return {"name": name, "mimeType": "model/gltf-binary", "buffer": json.dumps(wish).encode()}
-
-
-def submit(page, file):
-    """Choose the file, start its job, and return the job's id once its page is there."""
-    page.set_input_files("#new input[type=file]", file)
-    page.click("text=Start job")
-    page.wait_for_url("**/jobs/*")
-    return page.url.rsplit("/", 1)[1]
 
 
 def downloaded(page, selector):
