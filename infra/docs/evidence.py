@@ -1,6 +1,6 @@
 """Makes what docs/evidence.md shows, and writes its tables and plots into the page.
 
-python infra/docs/evidence.py run NAME       compare on a scene of SCENES, into out/evidence/NAME (minutes)
+python infra/docs/evidence.py run NAME       compare on one of PLACES, into out/evidence/NAME (minutes)
 python infra/docs/evidence.py run stability  the long form, into out/evidence/stability.json
 python infra/docs/evidence.py page           write what out/evidence holds into the page; what it does not hold stays as it is
 
@@ -39,9 +39,9 @@ class Scene:
     flags: tuple[str, ...] = ()  # of the command
 
 
-def _space(low: list[float], high: list[float], cell_m: float, *more: str) -> str:
+def _space(low: list[float], high: list[float], cell_m: float, *more: str, visibility: str = "off") -> str:
     return "\n".join(
-        ['visibility.mode = "off"', *more, "[view_space]", f"cell_m = {cell_m}", f"boxes = [[{low}, {high}]]"]
+        [f'visibility.mode = "{visibility}"', *more, "[view_space]", f"cell_m = {cell_m}", f"boxes = [[{low}, {high}]]"]
     )
 
 
@@ -60,8 +60,7 @@ def _town(scene: Path, settings: Path) -> None:
     scene.write_bytes(write_glb(town(60, view_m=24)))
     low, high = [-12.0, 1.0, -12.0], [12.0, 3.0, 12.0]
     lines = ['budget = "24 calls"', "camera.width = 320", "camera.height = 180", "placement.far_m = 25.0"]
-    space = _space(low, high, 12.0).replace('"off"', '"sampled"')
-    settings.write_text("\n".join([*lines, space]), encoding="utf-8")
+    settings.write_text("\n".join([*lines, _space(low, high, 12.0, visibility="sampled")]), encoding="utf-8")
 
 
 def _rainier(scene: Path, settings: Path) -> None:
