@@ -8,6 +8,8 @@ export class FrameClock {
   readonly cost = new Float64Array(FRAMES_KEPT);
   readonly geometryCost = new Float64Array(FRAMES_KEPT);
   readonly late = new Uint8Array(FRAMES_KEPT);
+  /** 1 where `ms` is what the frame took, 0 while only the CPU's part of it is known. */
+  private readonly known = new Uint8Array(FRAMES_KEPT);
   frames = 0;
   /** Told the time of a frame, a second time where the GPU's own comes later. */
   measured: ((frame: number, ms: number) => void) | null = null;
@@ -43,6 +45,7 @@ export class FrameClock {
     this.late[at] = late ? 1 : 0;
     const interval = this.beganAt - this.lastBegan;
     this.ms[at] = this.timer || interval > 250 ? cpuMs : Math.max(cpuMs, interval);
+    this.known[at] = this.timer ? 0 : 1;
     this.measured?.(this.frames, this.ms[at]);
     if (this.active) {
       this.gl.endQuery(this.timer!.TIME_ELAPSED_EXT);
@@ -53,19 +56,20 @@ export class FrameClock {
     this.collect();
   }
 
-  /** Median of the frames of about the last half second (at least 5). */
-  median(): number {
+  /** Median of the frames of about the last half second (at least 5) whose time is known; null before there is one. */
+  median(): number | null {
     const n = Math.min(this.frames, FRAMES_KEPT, 30);
-    if (!n) return 0;
     const last: number[] = [];
     let sum = 0;
     for (let k = 1; k <= n && (last.length < 5 || sum < 500); k++) {
-      const ms = this.ms[(this.frames - k) % FRAMES_KEPT];
+      const at = (this.frames - k) % FRAMES_KEPT;
+      if (!this.known[at]) continue;
+      const ms = this.ms[at];
       last.push(ms);
       sum += ms;
     }
     last.sort((a, b) => a - b);
-    return last[last.length >> 1];
+    return last.length ? last[last.length >> 1] : null;
   }
 
   /** Takes the times that the GPU has ready by now. */
@@ -77,6 +81,7 @@ export class FrameClock {
       const gpuMs = (gl.getQueryParameter(query, gl.QUERY_RESULT) as number) / 1e6;
       if (!disjoint && this.frames - frame <= FRAMES_KEPT) {
         this.ms[frame % FRAMES_KEPT] = Math.max(cpuMs, gpuMs);
+        this.known[frame % FRAMES_KEPT] = 1;
         this.measured?.(frame, this.ms[frame % FRAMES_KEPT]);
       }
       this.free.push(query);

@@ -48,7 +48,7 @@ export class Overlay {
     const { engine, clock, manifest } = this;
     const { selection, situation: s, pages } = engine;
     const { budget } = manifest;
-    setText("ms", clock.median().toFixed(1));
+    setText("ms", clock.median()?.toFixed(1) ?? "–"); // unknown until the GPU's timer tells
     byId("ms").title = clock.source;
     const named = cost(selection.cost, budget.unit);
     setText("cost", budget.unit === "ns" ? `predicted ${named}` : `${count(selection.cost)} of ${cost(budget.amount, budget.unit)}`);
