@@ -221,6 +221,8 @@ STATUS: dict[type[FarfieldError], int] = {
     errors.CalibrationError: 422,
     errors.BaseUnfit: 422,
     errors.OutsideViewSpace: 422,
+    errors.DirectionInvalid: 422,
+    errors.ExportError: 422,
     errors.SceneNotFound: 404,
     errors.UploadNotFound: 404,
     errors.UploadsTooMany: 429,

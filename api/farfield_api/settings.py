@@ -16,6 +16,7 @@ from farfield.webhooks import Network, networks
 MIGRATIONS = Path(os.environ.get("FARFIELD_MIGRATIONS", Path(__file__).resolve().parents[2] / "migrations"))
 NO_QUOTA = Quota()
 INSPECT = (sys.executable, "-m", "farfield.cli.main", "inspect", "--json")
+EXPORT = (sys.executable, "-m", "farfield.cli.main", "export", "gltf", "--json")
 CALIBRATE = (sys.executable, "-m", "farfield.cli.main", "calibrate", "--json")
 
 
@@ -38,6 +39,7 @@ class ApiSettings:
     inspect_memory_bytes: int = 8 << 30
     inspect_seconds: int = 300
     inspect_command: tuple[str, ...] = INSPECT  # prints what it reads of the file named last, as JSON
+    export_command: tuple[str, ...] = EXPORT  # writes the placement named last as glTF to --out
     calibrate_command: tuple[str, ...] = CALIBRATE  # prints the profile of the samples in the file named last, as JSON
     session_s: int = 12 * 3600
     rate_read: str = "12000/minute"  # requests of a key that read; empty: no limit
@@ -73,6 +75,7 @@ def from_environment(environment: Mapping[str, str] = os.environ) -> ApiSettings
         upload_s=float(environment.get("FARFIELD_UPLOAD_SECONDS", 3 * 86400)),
         inspect_memory_bytes=int(environment.get("FARFIELD_SCENE_MEMORY_BYTES", 8 << 30)),
         inspect_command=tuple(shlex.split(environment.get("FARFIELD_INSPECT", ""))) or INSPECT,
+        export_command=tuple(shlex.split(environment.get("FARFIELD_EXPORT", ""))) or EXPORT,
         calibrate_command=tuple(shlex.split(environment.get("FARFIELD_CALIBRATE", ""))) or CALIBRATE,
         inspect_seconds=int(environment.get("FARFIELD_INSPECT_SECONDS", 300)),
         metrics_port=int(environment["FARFIELD_METRICS_PORT"]) if environment.get("FARFIELD_METRICS_PORT") else None,

@@ -1,11 +1,15 @@
-"""One poller a process feeds all its event streams: a hundred idle streams cost one small query at a time."""
+"""One poller a process feeds all its event streams: a hundred idle streams cost one small query at a time.
+
+News     A job's new events are read once for all streams that are equally far, and told to a few streams at a time: a
+         hundred that knock together would keep every request waiting.
+"""
 
 import asyncio
 import random
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from farfield.store import events
@@ -15,9 +19,11 @@ from starlette.concurrency import run_in_threadpool
 
 from farfield_api.errors import StreamsTooMany
 
+T = TypeVar("T")
 PAGE = 500
 MOST_OF_A_KEY = 1000  # open streams, in one process
 KEEP_ALIVE_S = 15.0
+WAVE, WAVE_S = 10, 0.005  # so many streams are woken, and then others have their turn for so long
 
 
 class EventPoller:
@@ -29,6 +35,7 @@ class EventPoller:
         self._known: dict[str, int] = {}
         self._any = asyncio.Event()
         self._open: Counter[str] = Counter()
+        self._asking: dict[Hashable, asyncio.Task[Any]] = {}
         self.closing = False
 
     @contextmanager
@@ -62,9 +69,15 @@ class EventPoller:
             for job_id, number in numbers.items():
                 if self._known.get(job_id) != number:
                     self._known[job_id] = number
-                    for changed in self._watched.get(job_id, ()):
-                        changed.set()
+                    await self._tell(list(self._watched.get(job_id, ())))
             await asyncio.sleep(self.poll_s)
+
+    async def _tell(self, watching: Sequence[asyncio.Event]) -> None:
+        for k in range(0, len(watching), WAVE):
+            for changed in watching[k : k + WAVE]:
+                changed.set()
+            if k + WAVE < len(watching):
+                await asyncio.sleep(WAVE_S)
 
     @contextmanager
     def watch(self, job_id: str) -> Iterator[asyncio.Event]:
@@ -82,25 +95,39 @@ class EventPoller:
             if not self._watched:
                 self._any.clear()
 
-    async def follow(self, job_id: str, after: int) -> AsyncIterator[dict[str, Any] | None]:
-        """Yield the job's events above number `after` until its last one, or until `close`; None now and then, to keep the
-        line open.
+    async def follow(self, job_id: str, after: int) -> AsyncIterator[list[dict[str, Any]]]:
+        """Yield the job's events above number `after`, some at a time, until its last one, or until `close`; an empty list
+        now and then, to keep the line open.
         """
         with self.watch(job_id) as changed:
             while not self.closing:
                 changed.clear()
-                found = await run_in_threadpool(self._after, job_id, after)
-                for event in found:
-                    after = event["seq"]
-                    yield event
-                    if event["kind"] == "job" and event["data"].get("state") in ENDED:
+                found = await self._read(job_id, after)
+                if found:
+                    after = found[-1]["seq"]
+                    yield found
+                    if any(event["kind"] == "job" and event["data"].get("state") in ENDED for event in found):
                         return
                 while len(found) < PAGE and not self.closing:
                     try:  # not all at once: streams that began together would else knock together for ever
                         await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S * random.uniform(0.7, 1.0))
                         break
                     except TimeoutError:
-                        yield None
+                        yield []
+
+    async def _read(self, job_id: str, after: int) -> list[dict[str, Any]]:
+        """Return the events above `after`. Streams that know of the same number share one read: it began after that number
+        was known, so it holds whatever woke them.
+        """
+        return await self.share((job_id, after, self._known.get(job_id)), lambda: self._after(job_id, after))
+
+    async def share(self, question: Hashable, ask: Callable[[], T]) -> T:
+        """Return what `ask` returns in a thread; streams that have the same question at the same time ask once."""
+        asking = self._asking.get(question)
+        if asking is None:
+            asking = self._asking[question] = asyncio.create_task(run_in_threadpool(ask))
+            asking.add_done_callback(lambda _: self._asking.pop(question))
+        return await asyncio.shield(asking)  # a stream that ends takes nothing from the others
 
     def _numbers(self, job_ids: list[str]) -> dict[str, int]:
         with read(self.engine) as tx:

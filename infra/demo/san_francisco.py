@@ -143,12 +143,14 @@ def write_city(
     return len(nodes)
 
 
-def settings_text(boxes: list[list[list[float]]], *, budget: str = BUDGET, fov_deg: float = 45.0) -> str:
-    """Return the demo's settings as TOML."""
+def settings_text(
+    boxes: list[list[list[float]]], *, budget: str = BUDGET, fov_deg: float = 45.0, size: tuple[int, int] = (1280, 720)
+) -> str:
+    """Return the demo's settings as TOML. `size` of the picture, pixels."""
     rows = ",\n".join(f"  {json.dumps(box)}" for box in boxes)
     return (
         f'# A band at eye height over the streets, a box a column of {CELL_M:g} m.\nbudget = "{budget}"\n\n'
-        f"[camera]\nfov_deg = {fov_deg}\nwidth = 1280\nheight = 720\n\n"
+        f"[camera]\nfov_deg = {fov_deg}\nwidth = {size[0]}\nheight = {size[1]}\n\n"
         '[visibility]\nmode = "off"\n\n'
         f"[view_space]\ncell_m = {CELL_M}\nboxes = [\n{rows},\n]\n"
     )

@@ -270,6 +270,29 @@ class Client:
         sent(1)
         return fetched + 1
 
+    def export_gltf(self, job: str, out: Path, *, cell: int | None = None, images: str = "png") -> int:
+        """Write the job's impostors to the file `out` (.glb) as `farfield export gltf` does; return its bytes.
+
+        cell    only what the views of this cell show
+        images  "png", "webp" or "webp+png"
+        """
+        wanted = {"images": images} if cell is None else {"images": images, "cell": str(cell)}
+        arriving = out.with_name(out.name + ".part")
+        try:
+            with self._http.stream("GET", f"/v1/placements/{job}/gltf", params=wanted) as answer:
+                if not answer.is_success:
+                    answer.read()
+                    self._read(answer)
+                with arriving.open("wb") as file:
+                    for piece in answer.iter_bytes():
+                        file.write(piece)
+            arriving.replace(out)
+        except httpx.TransportError as error:
+            raise self._silent(error) from error
+        finally:
+            arriving.unlink(missing_ok=True)
+        return out.stat().st_size
+
     def _file(self, job: str, path: str) -> bytes:
         answer = self._request("GET", f"/v1/placements/{job}/{path}")
         if not answer.is_success:

@@ -8,7 +8,8 @@ Use      Artifacts that stages hand to each other, and the chunks of the placeme
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import mmap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +19,8 @@ from farfield.errors import ColumnsAltered, ColumnsTooNew, ColumnsTruncated, Not
 MAGIC = b"FARFIELD"
 FORMAT_VERSION = 1
 ALIGNMENT = 8
+RELEASED_BYTES = 128 << 20  # of a file; what is smaller may stay
+WALKED_BYTES = 64 << 20  # written until what was read is given back
 DTYPES = ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f4", "<f8")
 
 T = TypeVar("T")
@@ -147,6 +150,37 @@ def unpack(buffer: Any, *, where: str = "buffer") -> tuple[str, dict[str, np.nda
         array.flags.writeable = False
         columns[name] = array
     return kind, columns, meta
+
+
+def release(array: np.ndarray, least_bytes: int = RELEASED_BYTES) -> None:
+    """Take the pages of the mapped file that `array` is a view of out of this process, if the file has `least_bytes`.
+
+    They stay in the system's cache, and the next read brings them back: for stages that walk through files in parts.
+    """
+    held: Any = array
+    while held is not None and not isinstance(held, mmap.mmap):
+        held = held.obj if isinstance(held, memoryview) else getattr(held, "base", None)
+    if held is not None and len(held) >= least_bytes and hasattr(mmap, "MADV_DONTNEED"):
+        held.madvise(mmap.MADV_DONTNEED)
+
+
+class Walked(list[bytes | memoryview]):
+    """Parts of mapped files that are given back as they are written: while one is asked for, few others are held."""
+
+    def __init__(self, parts: Parts, arrays: Sequence[np.ndarray]) -> None:
+        """arrays  one of each mapped file that the parts are views of"""
+        super().__init__(parts)
+        self._arrays = arrays
+
+    def __iter__(self) -> Iterator[bytes | memoryview]:
+        held = 0
+        for part in super().__iter__():
+            yield part
+            held += len(part)
+            if held > WALKED_BYTES:
+                held = 0
+                for array in self._arrays:
+                    release(array, 0)
 
 
 def pack_dataclass(record: Any) -> bytes:

@@ -2,8 +2,10 @@
 
 The service runs the same shards through Celery; both write the same artifacts. Processes are spawned, never forked: an
 OpenGL context must not exist in a parent. Each maps its inputs from files, so what travels between them is paths.
+A stage that no other reads may run beside those that follow (`begin_leaves`): the lower bound takes one process for long.
 """
 
+import ctypes
 import hashlib
 import json
 import mmap
@@ -11,15 +13,16 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from farfield.errors import FarfieldError, StageFailed
+from farfield.memory import HEADROOM, free_bytes
 from farfield.pipeline import STEPS
 from farfield.settings import Settings
 from farfield.stages import Stage
@@ -28,12 +31,15 @@ from farfield.steps.model import Inputs, Shard, Step, shard_key
 # One thread a process: numba and the software rasteriser collapse when more threads than cores run.
 THREADS = {"NUMBA_NUM_THREADS": "1", "LP_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
+_LIBC = ctypes.CDLL(None)
+
 Progress = Callable[[Stage, int, int, str | None], None]  # stage, shards done, shards in all, reason if skipped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageRun:
-    """What one stage took. `seconds` is wall clock; `peak_bytes` the largest resident set of any of its processes."""
+    """What one stage took. `seconds` is wall clock, with what ran beside it; `peak_bytes` the largest resident set of any
+    of its processes."""
 
     name: str
     seconds: float
@@ -94,32 +100,37 @@ def peak_bytes() -> int:
     return 0
 
 
-def _plan(stage: Stage, paths: _Paths) -> tuple[str | None, list[Shard], int]:
+def _measured(function: Callable[..., Any], *arguments: Any) -> tuple[Any, int]:
+    """Return what the function returns and the peak memory; gives back to the system what was freed."""
     reset_peak()
+    returned = function(*arguments)
+    peak = peak_bytes()
+    if hasattr(_LIBC, "malloc_trim"):  # glibc keeps hundreds of megabytes a process, beside what the next stage takes
+        _LIBC.malloc_trim(0)
+    return returned, peak
+
+
+def _plan(stage: Stage, paths: _Paths) -> tuple[str | None, list[Shard]]:
     step = STEPS[stage]
     inputs = paths.inputs(step)
     reason = step.skip(inputs)
     shards = [] if reason else step.plan(inputs)
-    return reason, json.loads(json.dumps(shards)), peak_bytes()
+    return reason, json.loads(json.dumps(shards))
 
 
-def _run(stage: Stage, paths: _Paths, shard: Shard, out: Path) -> int:
-    reset_peak()
+def _run(stage: Stage, paths: _Paths, shard: Shard, out: Path) -> None:
     step = STEPS[stage]
     checkpoint = _checkpoint(out)
     write_parts(step.run(paths.inputs(step, checkpoint), shard), out)
     checkpoint.unlink(missing_ok=True)
-    return peak_bytes()
 
 
-def _merge(stage: Stage, paths: _Paths, pieces: list[Path], out: Path) -> int:
-    reset_peak()
+def _merge(stage: Stage, paths: _Paths, pieces: list[Path], out: Path) -> None:
     step = STEPS[stage]
     assert step.merge is not None
     checkpoint = _checkpoint(out)
     write_parts(step.merge(paths.inputs(step, checkpoint), [map_file(piece) for piece in pieces]), out)
     checkpoint.unlink(missing_ok=True)
-    return peak_bytes()
 
 
 def _checkpoint(out: Path) -> Path:
@@ -156,6 +167,8 @@ class Executor:
         self.stages: list[StageRun] = []
         self._pool: ProcessPoolExecutor | None = None
         self._others: set[BaseProcess] = set()
+        self._threads = ThreadPoolExecutor(len(STEPS))
+        self._begun: dict[Stage, Future[StageRun]] = {}
 
     def __enter__(self) -> "Executor":
         for name, value in THREADS.items():
@@ -171,6 +184,7 @@ class Executor:
             for process in set(active_children()) - self._others:
                 process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
+        self._threads.shutdown(wait=True)
 
     def artifact(self, stage: Stage) -> Any:
         """Return the artifact of a stage that ran, as a memory map."""
@@ -181,10 +195,36 @@ class Executor:
         return Inputs(self.paths.settings, {stage: self.artifact(stage) for stage in stages}, self.paths.digests)
 
     def run(self, stage: Stage) -> StageRun:
-        """Run one stage: ask, cut, run, join. Raises what the stage raised, or StageFailed when a process died."""
+        """Run one stage, or wait for it where it has begun. Raises what the stage raised, or StageFailed if a process died."""
+        begun = self._begun.pop(stage, None)
+        done = begun.result() if begun is not None else self._run_stage(stage)
+        self.stages.append(done)
+        return done
+
+    def begin_leaves(self) -> None:
+        """Begin stages that no other reads and whose inputs are there, if a process and memory are left for the others."""
+        there = dict(self.paths.artifacts)  # a stage that has begun may end meanwhile
+        waiting = [step for stage, step in STEPS.items() if stage not in there and stage not in self._begun]
+        if self.workers < 2 or not waiting:
+            return
+        read = {stage for step in STEPS.values() for stage in step.inputs}
+        others = (self.workers - 1) * max(map(self._need_bytes, waiting))
+        for step in waiting:
+            ready = step.stage not in read and all(stage in there for stage in step.inputs)
+            if ready and self._need_bytes(step) + others <= HEADROOM * free_bytes():
+                self._begun[step.stage] = self._threads.submit(self._run_stage, step.stage)
+
+    def _need_bytes(self, step: Step) -> int:
+        """Return what a shard of the step may take, as far as its inputs are known."""
+        there = dict(self.paths.artifacts)
+        sizes = {str(stage): there[stage].stat().st_size for stage in step.inputs if stage in there}
+        return step.need.bytes("run", sizes)
+
+    def _run_stage(self, stage: Stage) -> StageRun:
+        """Ask, cut, run, join."""
         step, started = STEPS[stage], time.perf_counter()
         try:
-            reason, shards, peak = self._submit(_plan, stage).result()
+            (reason, shards), peak = self._submit(_plan, stage).result()
             self.progress(stage, 0, len(shards), reason)
             pieces = [self._path(step, shard) for shard in shards]
             out = self._path(step, "merge", *pieces) if step.merge is not None else pieces[0]
@@ -194,23 +234,23 @@ class Executor:
                 missing = []
             peak = max(peak, *self._run_shards(stage, shards, pieces, missing), 0)
             if step.merge is not None and not out.exists():
-                peak = max(peak, self._submit(_merge, stage, pieces, out).result())
+                peak = max(peak, self._submit(_merge, stage, pieces, out).result()[1])
                 for piece in pieces if self.cache is None else []:
                     piece.unlink()
         except (BrokenProcessPool, MemoryError) as error:
             raise StageFailed(stage, "a process died, most likely for lack of memory; try fewer --workers") from error
         self.paths.artifacts[stage] = out
         self.paths.digests[stage] = file_digest(out)
-        done = StageRun(
+        return StageRun(
             name=stage, seconds=time.perf_counter() - started, peak_bytes=peak, skipped=reason, shards=len(shards),
             reused=len(shards) - len(missing),
         )  # fmt: skip
-        self.stages.append(done)
-        return done
 
-    def _submit(self, function: Callable[..., Any], stage: Stage, *arguments: Any) -> "Future[Any]":
+    def _submit(self, function: Callable[..., Any], stage: Stage, *arguments: Any) -> "Future[tuple[Any, int]]":
         assert self._pool is not None
-        return self._pool.submit(function, stage, self.paths, *arguments)
+        # A copy: the pool pickles it in a thread of its own, while stages that run beside this one add theirs.
+        paths = replace(self.paths, artifacts=dict(self.paths.artifacts), digests=dict(self.paths.digests))
+        return self._pool.submit(_measured, function, stage, paths, *arguments)
 
     def _path(self, step: Step, shard: Shard, *pieces: Path) -> Path:
         """Return where an artifact lies: under a digest of everything that shapes it, `pieces` included."""
@@ -233,7 +273,7 @@ class Executor:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 try:
-                    peaks.append(future.result())
+                    peaks.append(future.result()[1])
                 except (FarfieldError, BrokenProcessPool):
                     for other in pending:
                         other.cancel()

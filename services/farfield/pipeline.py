@@ -65,10 +65,10 @@ STEPS: dict[Stage, Step] = {
              run=impostors.bound, merge=impostors.bound_merge, reads=("placement.bound",),
              asks=("placement.candidates", "placement.base")),
         Step(stage=Stage.PLACEMENTDB, need=Need(base_mib=1300),
-             version=7, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
+             version=8, queue=Queue.CPU, inputs=(_S, _H, _D, _R, _V, _VIEW, Stage.REPAIR, _B),
              plan=one, run=result.placementdb, reads=tuple(f.name for f in fields(Settings))),  # its manifest states them all
         Step(stage=Stage.EVALUATION, need=Need(base_mib=1200),
-             version=1, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=result.evaluation_plan,
+             version=2, queue=Queue.CPU, inputs=(Stage.PLACEMENTDB,), plan=result.evaluation_plan,
              run=result.evaluation, merge=result.evaluation_merge, reads=("seed",)),
         Step(stage=Stage.PROOF, need=Need(base_mib=1500),
              version=1, queue=Queue.GL, inputs=(Stage.PLACEMENTDB,), skip=result.proof_skip,

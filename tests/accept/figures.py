@@ -16,11 +16,5 @@ class Figures:
         )
         assert holds, f"{what}: {text.format(value)}, must be {sign} {text.format(limit)}"
 
-    def miss(self, what: str, value: float, limit: float, *, bound: float, text: str = "{:.4f}") -> None:
-        """Note a figure whose limit is not reached yet and say so; fail only where it is not below `bound` either."""
-        state = "ok" if value < limit else "MISSED"
-        self.rows.append((what, text.format(value), f"below {text.format(limit)}", state))
-        assert value < bound, f"{what}: {text.format(value)}, has been below {text.format(bound)}"
-
     def note(self, what: str, value: str) -> None:
         self.rows.append((what, value, "", ""))

@@ -23,14 +23,16 @@ class Walked:
     shimmer: tuple[float, float]  # from frame to frame of a slow walk: with impostors, with geometry
 
 
-def walk(folder: Path, budget: int, figures: Figures, pictures: Path, name: str) -> Walked:
-    """Return the street views of most coverage, apart from each other, of many random ones dense in geometry."""
+def walk(
+    folder: Path, budget: int, figures: Figures, pictures: Path, name: str, *, views: int = STREET_VIEWS
+) -> Walked:
+    """Return the street views of most coverage, apart from each other, of so many random ones dense in geometry."""
     if CHROMIUM is None or not (DIST / "viewer.html").is_file():
         pytest.skip("no chromium, or the pages are not built")
     api = pytest.importorskip("playwright.sync_api")
     at_least = int(np.ceil(DENSE * budget))
     survey = Streets(folder)
-    seen = survey.sample(STREET_VIEWS, at_least=at_least)
+    seen = survey.sample(views, at_least=at_least)
     assert seen, f"no view from a street costs {at_least} as geometry"
     shares = np.quantile([view.coverage for view in seen], [0.5, 0.9, 0.99, 1.0])
     said = ", ".join(f"{q} {share:.2%}" for q, share in zip(("median", "90 %", "99 %", "best"), shares, strict=True))
@@ -47,12 +49,12 @@ def walk(folder: Path, budget: int, figures: Figures, pictures: Path, name: str)
         page.on("pageerror", lambda e: wrong.append(str(e)))
         page.goto(f"{url}/viewer/city")
         page.evaluate("farfield.ready()")
-        views = [compare(page, street.position, street.direction) for street in streets]
+        compared = [compare(page, street.position, street.direction) for street in streets]
         change = shimmer(page, streets[0].position, streets[0].direction)
         browser.close()
-    for k, view in enumerate(views):
+    for k, view in enumerate(compared):
         save(pictures, f"{name.replace(' ', '-')}-{k}", view)
-    return Walked(streets=streets, views=views, complaints=wrong, shimmer=change)
+    return Walked(streets=streets, views=compared, complaints=wrong, shimmer=change)
 
 
 def check_costs(walked: Walked, budget: int, figures: Figures, name: str) -> None:

@@ -80,6 +80,7 @@ def service(tmp_path, database):  # noqa: F811  (a fixture)
         artifacts=tmp_path / "artifacts", secret="ab" * 32, web=web,
         max_scene_bytes=100_000, poll_s=0.02, inspect_seconds=20,
         inspect_command=(sys.executable, str(TESTS / "toy_inspect.py")),
+        export_command=(sys.executable, str(TESTS / "toy_export.py")),
         placements={"town": _placement(tmp_path / "town")},
     )  # fmt: skip
     with TestClient(make_app(settings), headers=bearer(key), base_url="http://127.0.0.1") as client:

@@ -62,6 +62,7 @@ ROUTES = [
     ("DELETE", "/v1/devices/{device_id}", None, "submit"),
     ("POST", "/v1/devices/{device_id}/samples", {"samples": []}, "submit"),
     ("GET", "/v1/placements", None, "read"),
+    ("GET", "/v1/placements/{placement}/gltf", None, "read"),
     ("GET", "/v1/placements/{placement}/{path:path}", None, "read"),
     ("HEAD", "/v1/placements/{placement}/{path:path}", None, "read"),
     ("POST", "/v1/tenants", {"name": "new"}, OPERATOR),

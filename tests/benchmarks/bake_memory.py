@@ -21,8 +21,8 @@ from farfield.bake import beside, thin
 from farfield.bake.bake import bake_batch
 from farfield.bake.gl.apart import child
 from farfield.candidates.model import BOX
-from farfield.columns import dataclass_parts, unpack_dataclass
-from farfield.executor import map_file, write_parts
+from farfield.columns import dataclass_parts, release, unpack_dataclass
+from farfield.executor import map_file, reset_peak, write_parts
 from farfield.hierarchy.build import build_hierarchy
 from farfield.rendertime.cost import build_cost_model
 from farfield.scene.model import Scene
@@ -51,6 +51,8 @@ def main(kind: str, what: str, *more: str) -> None:
         cell = box_cell(tuple(middle - far / 50), tuple(middle + far / 50))
         settings = Settings()
         model, hierarchy = build_cost_model(scene, settings=settings), build_hierarchy(scene)
+        release(scene.position)
+        reset_peak()  # of the model and the hierarchy, which other stages make
         seen: dict[str, int] = {}
         over = threading.Event()
         watch = threading.Thread(target=_watch, args=(over, seen))

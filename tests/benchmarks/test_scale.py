@@ -4,11 +4,14 @@ Minutes each, so only with --bench-large. Every stage is a row: processor second
 exponent (1.11 is 13 times the time for 10 times the town).
 """
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from accept.measure import farfield
 from benchmarks.measure import exponent
-from benchmarks.scenes import munich, settings_text, vienna
+from benchmarks.scenes import CELL_M, munich, settings_text, vienna
 from benchmarks.walk import Taken, read_settings, walk
 from cutout import demo_city
 from farfield.columns import unpack_dataclass
@@ -56,6 +59,36 @@ def test_many_views(tmp_path, report):
     city.build(scene, tmp_path / "demo.toml")
     rows, views = taken(scene, settings_text(city.street_boxes(raw), budget="860 calls"), tmp_path)
     report_all(report, f"San Francisco, off, {views} views", rows)
+
+
+def test_whole_city(tmp_path, report):
+    """All streets of San Francisco as view space, default camera, with bake, by the command and two workers: wall clock."""
+    city = demo_city()
+    raw, materials = city.read_city()
+    scene, toml = tmp_path / "city.glb", tmp_path / "settings.toml"
+    city.write_city(scene, raw, materials)
+    size = np.ptp(
+        [c for mesh in raw.meshes for part in mesh for c in (part.position.min(0), part.position.max(0))], axis=0
+    )
+    boxes = city.street_boxes(raw, columns=tuple(np.ceil(size[[0, 2]] / CELL_M).astype(int).tolist()))
+    toml.write_text(
+        city.settings_text(boxes, budget="140 calls").replace('mode = "off"', 'mode = "sampled"'), encoding="utf-8"
+    )
+    out = str(tmp_path / "out")
+    done = farfield("place", str(scene), "--settings", str(toml), "--workers", "2", "--json", "--out", out)
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    views = told["problem_views"]
+    name = f"all of San Francisco, {told['cells']:,} cells, {views:,} problem views, {told['verdict']}"
+
+    def add(stage: str, work: str, seconds: float) -> None:
+        report(stage=stage, work=work, input=name, seconds=seconds, rate=views / seconds, unit="problem views/s")
+
+    for stage in told["stages"]:
+        if not stage["skipped"]:
+            add(stage["name"], "wall clock, 2 workers", stage["seconds"])
+    peak = f"wall clock, 2 workers, {done.peak_bytes / 2**30:.2f} GiB in all processes"
+    add("all", peak, done.seconds)
 
 
 def test_growth(tmp_path, report):

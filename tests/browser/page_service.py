@@ -19,6 +19,7 @@ from typing import Any
 import toy_pipeline
 import uvicorn
 from farfield.columns import files_parts
+from farfield.evaluation.resident import peak_resident
 from farfield.geometry.intervals import direction_at, edges, split_id
 from farfield.placementdb.read import Placement
 from farfield.settings import to_mapping
@@ -82,6 +83,7 @@ def golden_report(stages: list[dict[str, Any]], *, settings: Any = None, verdict
         "curve": [{"budget": b, "bytes": n, "views_over": v} for b, n, v in
                   ((20, 45576, 3), (21, 30112, 3), (22, 21500, 1), (24, 9004, 0), (27, 0, 0))],
         "verified": {"views": 1000, "over_budget": 0, "over_bound": 0, "worst_ratio": 0.95, "in_problem_views": 321,
+                     "resident": peak_resident(placement),
                      "worst_view": {"position": worst["position"], "direction": worst["direction"], "cost": 20}},
         "warnings": ["a made-up town"], "dropped_triangles": 4, "not_baked": [], "software": {"farfield": "0.1.0"},
         "inputs": {},

@@ -13,6 +13,7 @@ import argparse
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -26,8 +27,17 @@ TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
     ".json": "application/json", ".webp": "image/webp", ".ktx2": "image/ktx2", ".glb": "model/gltf-binary",
 }  # fmt: skip
-# Given the path of a request, returns a status to fail with, or bytes to send instead, or None to answer normally.
-Trouble = Callable[[str], int | bytes | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """The connection breaks after this share of the body; below 0: without any answer."""
+
+    share: float
+
+
+# Given the path of a request, returns a status to fail with, bytes to send instead, a cut, or None to answer normally.
+Trouble = Callable[[str], int | bytes | Cut | None]
 
 
 def find(path: str, placements: Mapping[str, Path]) -> Path | None:
@@ -55,6 +65,10 @@ def serving(placements: Mapping[str, Path], *, port: int = 0, trouble: Trouble |
         def do_GET(self) -> None:
             made = trouble(self.path) if trouble else None
             found = find(self.path, placements)
+            cut, made = (made, None) if isinstance(made, Cut) else (Cut(1.0), made)
+            if cut.share < 0:
+                self.close_connection = True
+                return
             if made is None and found is None and self.path.endswith("/report.json"):
                 made = b"{}"
             if isinstance(made, int) or (made is None and found is None):
@@ -69,7 +83,8 @@ def serving(placements: Mapping[str, Path], *, port: int = 0, trouble: Trouble |
             self.send_header("content-security-policy", POLICY)
             self.send_header("cache-control", "no-store")
             self.end_headers()
-            self.wfile.write(content)
+            self.wfile.write(content[: int(cut.share * len(content))])
+            self.close_connection = cut.share < 1
 
         def log_message(self, *_: object) -> None:
             pass

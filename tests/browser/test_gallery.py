@@ -1,7 +1,9 @@
 """Pictures of every page, to be looked at: out/pictures/pages/, light, dark and small. None jumps or is too wide."""
 
+import json
+
 import pytest
-from browser.page_service import ROOT
+from browser.page_service import GOLDEN, ROOT
 from browser.test_live import words
 from browser.visitor import level, sign_in
 from farfield.store import workers
@@ -19,6 +21,11 @@ PAGES = {
     "workers": ("/workers", ".ops tbody tr"),
     "devices": ("/devices", "#dh"),
     "storage": ("/storage", "#kh"),
+    "viewer": ("/viewer/town#at=AT&to=TO", "#attribution a"),
+    "viewer-layers": ("/viewer/town#at=AT&to=TO&show=ilc", "#attribution a"),
+    "viewer-difference": ("/viewer/town#at=AT&to=TO&show=ie", "#difference:not([hidden])"),
+    "viewer-nothing": ("/viewer/nowhere", "text=No placement here"),
+    "methods": ("/methods.html", "#said"),
     "nothing": (f"/jobs/{'0' * 32}", "text=cannot be shown"),
 }
 MOST_SHIFT = 0.1  # "good" of web.dev's cumulative layout shift
@@ -73,6 +80,14 @@ def _pictures(page, name):
         page.screenshot(path=str(GALLERY / f"{name}-{scheme}-{width}.png"))
 
 
+def _filled(address, job):
+    """The address with the job's id, and a view that shows most impostors."""
+    told = json.loads((GOLDEN / "lookups.json").read_text())["lookups"]
+    view = max(told, key=lambda g: len(g["impostors"]))
+    at, to = (",".join(map(str, view[key])) for key in ("position", "direction"))
+    return address.replace("JOB", job).replace("AT", at).replace("TO", to)
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_pictured_fits_and_does_not_jump(context, service, name):
     address, there = PAGES[name]
@@ -80,7 +95,7 @@ def test_a_page_is_pictured_fits_and_does_not_jump(context, service, name):
     for width in (1280, 390):
         page.set_viewport_size({"width": width, "height": 900})
         page.goto("about:blank")
-        page.goto(service.url + address.replace("JOB", context.job))
+        page.goto(service.url + _filled(address, context.job))
         page.wait_for_selector(there)
         page.wait_for_timeout(300)
         assert page.evaluate("window.shift") < MOST_SHIFT, width

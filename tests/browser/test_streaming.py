@@ -4,6 +4,7 @@ import json
 import shutil
 import threading
 import time
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser.static_server import DIST, serving
+from browser.static_server import DIST, Cut, find, serving
+from browser.walks import encode_walk
 from curved import SETTINGS, curved_level
 from farfield.cli.main import main
 from farfield.placementdb.read import Placement
@@ -164,3 +166,130 @@ def test_a_lost_context_comes_back_with_the_same_view(folder: Path, page: Any) -
         np.testing.assert_allclose(stats["position"], position, atol=1e-6)
         after = picture(page)
     assert np.abs(after.astype(int) - before.astype(int)).mean() < 1
+
+
+AT = "#at=0,1.6,0&to=0,0,-1"
+BASE = "/v1/placements/curved/"
+
+
+def test_a_lossy_line_shows_in_the_end_what_a_good_one_shows(folder: Path, page: Any) -> None:
+    """Of every file the first answer is lost, cut off, refused, altered, or ends early as if that were all of it."""
+    asked: Counter[str] = Counter()
+    struck: Counter[str] = Counter()
+
+    def trouble(path: str) -> int | bytes | Cut | None:
+        name = path.removeprefix(BASE)
+        if name == path or name == "report.json":
+            return None
+        asked[name] += 1
+        if asked[name] > 1:
+            return None
+        found = find(path, {"curved": folder})
+        assert found is not None
+        kinds: dict[str, int | bytes | Cut] = {"refused": 503, "cut": Cut(0.5), "lost": Cut(-1)}
+        if name != "manifest.json":  # its own seal is checked, and it has no second try
+            content = found.read_bytes()
+            kinds |= {"altered": content[:-1] + bytes([content[-1] ^ 1]), "short": content[: len(content) // 2]}
+        kind = list(kinds)[zlib.crc32(name.encode()) % len(kinds)]
+        struck[kind] += 1
+        return kinds[kind]
+
+    with serving({"curved": folder}) as url:
+        page.goto(f"{url}/viewer/curved{AT}")
+        page.evaluate("farfield.ready()")
+        before = picture(page)
+    with serving({"curved": folder}, trouble=trouble) as url:
+        page.goto(f"{url}/viewer/curved{AT}")
+        page.evaluate("farfield.ready()")
+        page.wait_for_selector("#stream-state:text-matches('complete here|all resident')")
+        np.testing.assert_array_equal(picture(page), before)
+        assert page.evaluate("farfield.stats()")["missing"] == 0
+        page.wait_for_selector("#notice", state="hidden")
+    assert len(struck) >= 4, struck
+    assert min(asked.values()) == 2
+    assert max(asked.values()) <= 3, "the browser itself tries a lost connection once more"
+
+
+def test_a_throttled_line_shows_stand_ins_first_and_all_of_it_in_the_end(folder: Path, page: Any) -> None:
+    cdp = page.context.new_cdp_session(page)
+    cdp.send("Network.enable")
+    line = {"offline": False, "latency": 80, "downloadThroughput": 60_000, "uploadThroughput": 60_000}
+    with serving({"curved": folder}) as url:
+        page.goto(f"{url}/viewer/curved{AT}")  # what the page itself is made of
+        page.evaluate("async () => { for (const name of await caches.keys()) await caches.delete(name); }")
+        page.goto("about:blank")
+        page.route(
+            "**/v1/placements/**", lambda route: (cdp.send("Network.emulateNetworkConditions", line), route.continue_())
+        )
+        page.goto(f"{url}/viewer/curved{AT}")
+        page.evaluate("farfield.ready()")
+        stats = page.evaluate("farfield.stats()")
+        assert stats["incomplete"] > 0 and stats["missing"] == 0
+        page.wait_for_selector("#stream-state:text-matches('complete here|all resident')")
+
+
+def test_what_is_no_longer_wanted_is_cancelled_and_what_is_wanted_again_comes(folder: Path, page: Any) -> None:
+    given_up: list[str] = []
+    go_on = threading.Event()
+    page.on("requestfailed", lambda r: given_up.append(r.url) if "/geometry/" in r.url else None)
+    pages = {BASE + entry["file"] for entry in Placement.open(folder).manifest["geometry"]["pages"]}
+    with serving({"curved": folder}, trouble=lambda path: go_on.wait(20) and None if path in pages else None) as url:
+        page.goto(f"{url}/viewer/curved{AT}")
+        page.wait_for_function("() => document.getElementById('in-flight').textContent.match(/[1-9]/)")
+        page.evaluate("() => { farfield.setView([0, 1.6, 0], [0, 0, 1]); }")  # the rows are behind now
+        for _ in range(100):
+            if given_up:
+                break
+            page.wait_for_timeout(50)
+        assert given_up, "nothing was cancelled"
+        go_on.set()
+        stats = set_view(page, [0, 1.6, 0], [0, 0, -1])
+        assert stats["missing"] == 0 and stats["objects"] > 0
+
+
+def test_the_service_may_start_anew_while_a_level_comes(folder: Path, page: Any) -> None:
+    with serving({"curved": folder}, trouble=lambda path: Cut(-1) if "/geometry/" in path else None) as url:
+        page.goto(f"{url}/viewer/curved{AT}")
+        page.wait_for_timeout(300)
+    page.wait_for_timeout(700)  # nobody listens
+    with serving({"curved": folder}, port=int(url.rsplit(":", 1)[1])):
+        page.evaluate("farfield.ready()")
+        assert page.evaluate("farfield.stats()")["missing"] == 0
+        page.wait_for_selector("#notice", state="hidden")
+
+
+def test_memory_does_not_grow_over_a_long_walk_and_nothing_is_asked_for_twice(folder: Path, page: Any) -> None:
+    placement = Placement.open(folder)
+    pages = placement.manifest["geometry"]["pages"]
+    cap = max(p["memory"] for p in pages) + 1000
+    low, high = np.array(placement.manifest["view_space"][0])
+    turn = np.linspace(0, 2 * np.pi, 24)
+    across = low + (high - low) * np.stack([(1 + np.sin(turn)) / 2, 0.5 + 0 * turn, (1 + np.cos(turn)) / 2], 1)
+    lap = np.concatenate([across, np.stack([np.sin(3 * turn), 0 * turn, -np.cos(3 * turn)], 1)], 1)
+    text = encode_walk(lap, ms=1000 / 60)
+    cdp = page.context.new_cdp_session(page)
+    cdp.send("Performance.enable")
+    asked: Counter[str] = Counter()
+    given_up: Counter[str] = Counter()
+    page.on("requestfailed", lambda r: given_up.update([r.url.partition("/v1/")[2]]))
+
+    def heap() -> float:
+        cdp.send("HeapProfiler.collectGarbage")
+        return float({m["name"]: m["value"] for m in cdp.send("Performance.getMetrics")["metrics"]}["JSHeapUsedSize"])
+
+    def note(path: str) -> None:
+        if path.startswith(BASE):
+            asked[path.partition("/v1/")[2]] += 1
+
+    page.set_viewport_size({"width": 320, "height": 200})
+    with serving({"curved": folder}, trouble=note) as url:
+        page.goto(f"{url}/viewer/curved?memory={2 * cap / 1e6}")  # of which the level may take half
+        page.evaluate("farfield.ready()")
+        heaps = []
+        for _ in range(4):
+            page.evaluate("text => farfield.replay(text)", text)
+            heaps.append(heap())
+        stats = page.evaluate("farfield.stats()")
+    assert 0 < stats["memory"]["mostLevel"] <= cap < sum(p["memory"] for p in pages)
+    assert heaps[-1] - heaps[1] < 1e6, heaps
+    assert not {path: n for path, n in asked.items() if n - given_up[path] > 1}

@@ -136,5 +136,5 @@ def test_a_killed_optimizer_goes_on_from_its_checkpoint_in_the_cache(cached: Pat
 
 def _at_once(function, *arguments):
     done = Future()
-    done.set_result(function(*arguments))
+    done.set_result((function(*arguments), 0))
     return done

@@ -4,9 +4,15 @@ import json
 
 import numpy as np
 import pytest
+from browser.chromium import CHROMIUM, launch
+from browser.static_server import DIST, serving
 from curved import SETTINGS, curved_level
 from farfield.evaluation.verify import Eye, draw_views, refuted, verify
 from farfield.placementdb.read import Placement
+from pictures import picture, set_view
+from scipy.ndimage import maximum_filter, minimum_filter
+
+SHADING = 16  # of 255: normals of a simplified mesh turn a little
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +91,41 @@ def test_verify_sees_levels_that_are_shown_too_near(folders):
     coarse = sum(eye.too_coarse(v, p) for p, v in views)
     assert coarse > 0
     assert refuted({"over_budget": 0, "over_bound": 0, "outside_view_cell": 0, "too_coarse": coarse})
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+@pytest.mark.skipif(not (DIST / "viewer.html").is_file(), reason="the pages are not built: npm run build in webviewer")
+def test_the_viewer_draws_the_levels_that_were_counted(folders):
+    """In a browser: the triangles of each view as counted, and the picture that of the full meshes to within a pixel."""
+    api = pytest.importorskip("playwright.sync_api")
+    (folder, _), (plain, _) = folders["on"], folders["off"]
+    placement = Placement.open(folder)
+    eye = Eye(placement)
+    views = [(p, d, placement.lookup(p, d)) for p, d in draw_views(placement, 300, 4)]
+    views = sorted(views, key=lambda told: -eye.cost(told[2], told[0], told[1])[1])[:3]  # objects in sight
+    pictures = {}
+    with api.sync_playwright() as playwright, serving({"on": folder, "off": plain}) as url:
+        page = launch(playwright).new_page(viewport={"width": 700, "height": 420})
+        for name in ("on", "off"):
+            page.goto(f"{url}/viewer/{name}")
+            page.evaluate("farfield.ready()")
+            for k, (position, direction, view) in enumerate(views):
+                stats = set_view(page, position, direction)
+                assert np.count_nonzero(view.levels) > 3 and not stats["missing"]
+                if name == "on":
+                    assert stats["cost"] == eye.cost(view, position, direction)[0] <= view.cost_bound
+                else:
+                    page.evaluate("farfield.setMode({impostors: false})")
+                pictures[name, k] = picture(page)
+    for k in range(len(views)):
+        on, off = pictures["on", k], pictures["off", k]
+        assert not np.array_equal(on, off)
+        assert _elsewhere(on, off) < 0.05 * _elsewhere(np.roll(off, 3, axis=1), off)
+
+
+def _elsewhere(shown: np.ndarray, truth: np.ndarray) -> float:
+    """Return the share of pixels whose color is, by more than shading, none of those within a pixel of it in `truth`."""
+    truth = truth.astype(np.int16)
+    low, high = (f(truth, (3, 3, 1)) for f in (minimum_filter, maximum_filter))
+    return float(((shown < low - SHADING) | (shown > high + SHADING)).any(-1).mean())

@@ -88,19 +88,22 @@ async def follow(
 
 async def _frames(service: State, caller: Caller, job_id: str, after: int, kind: Kind | None) -> AsyncIterator[bytes]:
     yield format_sse_event(retry=1000, comment="farfield")
-    looked = time.monotonic()
-    async for event in service.poller.follow(job_id, after):
+    looked, who = time.monotonic(), (caller.key_id, caller.session)
+    async for found in service.poller.follow(job_id, after):
         if time.monotonic() - looked > CHECK_S:
             looked = time.monotonic()
-            if await run_in_threadpool(tenants.caller_of_id, service.engine, caller.key_id, caller.session) is None:
+            if await service.poller.share(who, lambda: tenants.caller_of_id(service.engine, *who)) is None:
                 return
-        if event is None:
-            yield KEEPALIVE_COMMENT
-        elif kind is None or event["kind"] == kind:
-            data = json.dumps({**event["data"], "at": iso(event["at"])})
-            yield format_sse_event(id=str(event["seq"]), event=event["kind"], data_str=data)
+        told = [_frame(event) for event in found if kind is None or event["kind"] == kind]
+        if told or not found:
+            yield b"".join(told) or KEEPALIVE_COMMENT
     if service.poller.closing:
         yield format_sse_event(retry=1000, comment="this process stops: go on at another, from the last id")
+
+
+def _frame(event: dict[str, Any]) -> bytes:
+    data = json.dumps({**event["data"], "at": iso(event["at"])})
+    return format_sse_event(id=str(event["seq"]), event=event["kind"], data_str=data)
 
 
 def _page(service: State, job_id: str, after: int, limit: int, kind: Kind | None) -> EventPageReply:

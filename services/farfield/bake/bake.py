@@ -30,6 +30,7 @@ from farfield.bake.shade import DECODE, ENCODE, LIGHTS
 from farfield.bake.textures import Pyramids, decode
 from farfield.bake.thin import take
 from farfield.candidates.environment import Planner
+from farfield.columns import Parts, Walked, dataclass_parts, release
 from farfield.hierarchy.model import Hierarchy
 from farfield.impostor.kernels import cut_triangles
 from farfield.impostor.plan import LayerPlan
@@ -101,7 +102,9 @@ class _Rows:
             self.data.append(data)
         return self.tiles[key]
 
-    def build(self, renderer: str, skipped: tuple[str, ...]) -> BakedLayers:
+    def build(self, renderer: str, skipped: tuple[str, ...], *, texels: bool = True) -> BakedLayers:
+        """texels  False: `tile_data` stays empty, the tiles are `data`"""
+
         def rows(values: list, width: int, dtype: type) -> np.ndarray:
             return np.array(values, dtype).reshape(-1, width) if values else np.zeros((0, width), dtype)
 
@@ -116,7 +119,7 @@ class _Rows:
             corner_row=_row(corners), corner=np.concatenate(k[3]) if corners else np.zeros((0, 2)),
             tile=np.array(k[4], np.int32), tile_at=rows(list(k[5]), 2, np.int32),
             tile_size=rows(self.size, 2, np.int32), tile_byte=_row([len(d) for d in self.data]),
-            tile_data=np.concatenate(self.data) if self.data else np.zeros(0, np.uint8),
+            tile_data=np.concatenate(self.data) if self.data and texels else np.zeros(0, np.uint8),
             renderer=renderer, skipped=skipped,
         )  # fmt: skip
 
@@ -169,6 +172,7 @@ def bake_batch(
                 texels += size_k[0] * size_k[1]
                 triangles += len(corners) - 2 + cut_triangles(*size_k)
                 pixels += layer_pixels(model, plan, k, size_k)
+        release(scene.position)  # the other columns of a scene lie in the same file
         rows.impostor.append((
             plan.eye, plan.right, plan.up, plan.slope0, plan.texel, plan.resolution,
             impostor_bytes(texels, len(rows.layer) - first), impostor_cost(model, triangles=triangles, pixels=pixels),
@@ -208,6 +212,19 @@ def merge(parts: Sequence[BakedLayers]) -> BakedLayers:
 
     The same for every way of cutting the impostors into batches. Renderers that differ are all named, in order.
     """
+    rows, names, skipped = _merged(parts)
+    return rows.build(names, skipped)
+
+
+def merge_parts(parts: Sequence[BakedLayers]) -> Parts:
+    """Return what `merge` returns, packed: its texels stay in the files that the batches are mapped from, and are read as they
+    are written. A city's are a gigabyte."""
+    rows, names, skipped = _merged(parts)
+    packed = dataclass_parts(rows.build(names, skipped, texels=False), tile_data=rows.data or [np.zeros(0, np.uint8)])
+    return Walked(packed, [p.tile_data for p in parts])
+
+
+def _merged(parts: Sequence[BakedLayers]) -> tuple[_Rows, str, tuple[str, ...]]:
     rows = _Rows()
     names: list[str] = []
     skipped: list[str] = []
@@ -225,7 +242,8 @@ def merge(parts: Sequence[BakedLayers]) -> BakedLayers:
         rows.layer += zip(p.plane, p.near, p.far, corners, own, p.tile_at.tolist(), strict=True)
         names += [n for n in p.renderer.split(" + ") if n not in names]
         skipped += p.skipped
-    return rows.build(" + ".join(names), tuple(skipped))
+        release(p.tile_data, 0)
+    return rows, " + ".join(names), tuple(skipped)
 
 
 def _materials(scene: Scene, spans: list[tuple[int, int]]) -> np.ndarray:

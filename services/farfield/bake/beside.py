@@ -18,6 +18,7 @@ from farfield.bake import kernels
 from farfield.bake.clip import grid
 from farfield.bake.coverage import edge_bounds, piece_edges, span
 from farfield.bake.records import Slabs
+from farfield.columns import release
 from farfield.impostor.plan import LayerPlan
 from farfield.scene.model import Scene
 
@@ -59,6 +60,7 @@ def mark_beside(scene: Scene, objects: tuple[int, int], box: np.ndarray, plan: L
         piece, source = np.empty((int(row[-1]), 6), np.int32), np.empty(int(row[-1]), np.int32)
         kernels.fill_pieces(corner, snapped, near_end, far_end, *grid(plan), row[:-1].copy(), piece, source)
         _mark(row, piece, slabs, start, marks)
+        release(scene.position)
     return marks
 
 

@@ -24,6 +24,7 @@ from farfield.bake.area import BAND, NOTHING, POINTS, sample_band
 from farfield.bake.clip import bound, count_triangles, cut, gather
 from farfield.bake.records import Pieces, Slabs, Sources, Surface
 from farfield.bake.sheets import lay_out
+from farfield.columns import release
 from farfield.impostor.plan import LayerPlan
 from farfield.scene.model import Scene
 
@@ -50,7 +51,9 @@ def take(
         return sources, pieces, slabs, lay_out(slabs)
 
     def batches() -> Iterator[Sources]:
-        return (some(triangles=(first, min(first + MOST, n))) for first in range(0, n, MOST))
+        for first in range(0, n, MOST):
+            yield some(triangles=(first, min(first + MOST, n)))
+            release(scene.position)  # a city's mapped file is a gigabyte
 
     slabs = _union([bound(cut(sources, plan), plan) for sources in batches()])
     sheets = lay_out(slabs)

@@ -141,6 +141,7 @@ def run(args: argparse.Namespace) -> int:
                     total = bars.tasks[tasks[stage]].total or 1
                     bars.update(tasks[stage], total=total, completed=total)
                     bars.stop_task(tasks[stage])
+                    executor.begin_leaves()
                 report = build_report(executor.inputs(*executor.paths.artifacts), executor.stages)
                 write_files(executor.artifact(Stage.PLACEMENTDB), work / "done")
         text = json.dumps(report, indent=1, sort_keys=True) + "\n"

@@ -140,6 +140,12 @@ def _figures(report: Mapping[str, Any]) -> Table:
     if found:
         worst = f"worst {found['worst_ratio']:.3f} of it"
         rows.append(("verified", f"{found['views']:,} random views, {found['over_budget']} over budget, {worst}"))
+        if held := found.get("resident"):  # reports of before have none
+            worst, median, everything = (_size(held[key]) for key in ("bytes", "median_bytes", "all_bytes"))
+            at_once = (
+                f"at most {worst} at once, in cell {held['cell']}; {median} in the median cell, {everything} in all"
+            )
+            rows.append(("memory", at_once))
     for row in rows:
         table.add_row(*row)
     return table

@@ -23,6 +23,7 @@ from farfield.errors import ColumnsAltered
 from farfield.evaluation import kernels
 from farfield.evaluation.climb import climb
 from farfield.evaluation.level import read_boxes, read_levels
+from farfield.evaluation.resident import peak_resident
 from farfield.evaluation.views import direction_in, into
 from farfield.placementdb.read import Lookup, Placement
 
@@ -38,6 +39,7 @@ def verify(folder: Path, *, views: int = 1000, seed: int = 0, climbs: int = 0) -
     over_bound        views that cost more than the bound stated for them (hopeless ones included); 0, or a defect
     outside_view_cell impostors shown to a camera outside their view cell; 0, or a defect
     too_coarse        objects drawn at a level whose error is above the pixel error there; 0, or a defect
+    resident          what a viewer holds at once in the cell that needs most: `peak_resident`
     worst_ratio       largest cost / budget outside hopeless views; worst_view is where
     These five hold for climbed views, too; `views`, `in_problem_views` and `in_hopeless_views` count random ones only.
     Raises PlacementFileError where a file is missing or damaged, or scene.glb is not the level that was placed.
@@ -46,6 +48,7 @@ def verify(folder: Path, *, views: int = 1000, seed: int = 0, climbs: int = 0) -
     files = placement.check()
     check_level(placement, folder / "scene.glb")
     trial = Trial(placement, seed=seed, files=files)
+    trial.found["resident"] = peak_resident(placement)
     for position, direction in draw_views(placement, views, seed):
         v = trial.see(position, direction)[1]
         trial.found["views"] += 1

@@ -1,8 +1,8 @@
 """Write the placement database: everything -> named files.
 
 Problem  A viewer wants, at a cell and a direction, what to draw, from few files that never change under their names.
-Method   Cut layers into polygons over blocks of texels (`layers`), lay the blocks out on pages in the order of the
-         cells that show them (`pack`, `pages`), cut the lists along the view-space tree (`chunks`), name each file by
+Method   Cut layers into polygons over blocks of texels (`layers`), lay the blocks out on pages by the cells that
+         show them (`pack`, `pages`), cut the lists along the view-space tree (`chunks`), name each file by
          its digest, and state all of them in one manifest. Format: docs/formats/placementdb.md.
 """
 
@@ -32,7 +32,7 @@ from farfield.placementdb.layers import Pieces, cut_layers, tile_texels
 from farfield.placementdb.pack import pack_blocks
 from farfield.placementdb.pages import build_pages
 from farfield.placementdb.squeeze import squeeze
-from farfield.placementdb.table import LayerTable, joined, spans, table_of, take
+from farfield.placementdb.table import LayerTable, joined, table_of, take
 from farfield.rendertime.model import CostModel
 from farfield.scene.model import Scene
 from farfield.settings import Settings, to_mapping
@@ -77,7 +77,7 @@ def build(
     shown = np.zeros(len(placement.cluster), dtype=bool)
     shown[placement.serve] = True
     pieces = cut_layers(baked, shown[fresh])
-    block_page, block_at = pack_blocks(pieces.block_rect[:, 2:], _block_order(views, placement, fresh, pieces))
+    block_page, block_at = pack_blocks(pieces.block_rect[:, 2:], *_block_cells(views, placement, fresh, pieces))
     if lighting is None:  # late: a caller who says how it is lit needs no renderer
         from farfield.bake.shade import LIGHTING
 
@@ -175,19 +175,32 @@ def _renderer(baked: BakedLayers, kept: KeptLayers | None) -> str:
     return " + ".join(dict.fromkeys(name for name in names if name))
 
 
-def _block_order(views: ProblemViews, placement: Placement, fresh: np.ndarray, pieces: Pieces) -> np.ndarray:
-    """Return the blocks in the order of the first, then the last cell in which an impostor with them is shown.
+def _block_cells(
+    views: ProblemViews, placement: Placement, fresh: np.ndarray, pieces: Pieces
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `pack_blocks` asks for: owner (B,) of each block, and (row, cell) of each owner's cells.
+
+    An owner is an impostor, or a set of them with equal tiles: where those are shown, all of them are.
 
     fresh  (F,) the impostors of `pieces`
     """
-    n, cell = len(placement.cluster), np.repeat(views.cell, np.diff(placement.serve_row))
-    first, last = np.full(n, np.iinfo(np.int32).max), np.full(n, -1)
-    np.minimum.at(first, placement.serve, cell)
-    np.maximum.at(last, placement.serve, cell)
-    impostors = np.lexsort((fresh, last[fresh], first[fresh]))
-    _, rows = spans(pieces.row, impostors)
-    blocks, at = np.unique(pieces.block[rows], return_index=True)
-    return blocks[np.argsort(at)]
+    number = np.full(len(placement.cluster), -1)
+    number[fresh] = np.arange(len(fresh))
+    impostor, cell = number[placement.serve], np.repeat(views.cell, np.diff(placement.serve_row))
+    shown = np.unique(np.stack([impostor, cell], axis=1)[impostor >= 0], axis=0)
+    pair = np.unique(np.stack([pieces.block, np.repeat(np.arange(len(fresh)), np.diff(pieces.row))], axis=1), axis=0)
+    times = np.bincount(pair[:, 0], minlength=len(pieces.block_rect))
+    sets: dict[bytes, int] = {}
+    owner = pair[np.searchsorted(pair[:, 0], np.arange(len(times))), 1]
+    shown_row = np.searchsorted(shown[:, 0], np.arange(len(fresh) + 1))
+    cells = [shown[shown_row[i] : shown_row[i + 1], 1] for i in range(len(fresh))]
+    for block in np.flatnonzero(times > 1):
+        members = pair[slice(*np.searchsorted(pair[:, 0], [block, block + 1])), 1]
+        owner[block] = sets.setdefault(members.tobytes(), len(cells))
+        if owner[block] == len(cells):
+            cells.append(np.unique(np.concatenate([cells[i] for i in members])))
+    row = np.concatenate([[0], np.cumsum([len(c) for c in cells], dtype=np.int64)])
+    return owner, row, np.concatenate([np.zeros(0, dtype=np.int64), *cells])
 
 
 def _page_blocks(

@@ -213,10 +213,10 @@ def bake(inputs: Inputs, shard: Shard) -> Parts:
 
 
 def bake_merge(inputs: Inputs, artifacts: Sequence[Any]) -> Parts:
-    from farfield.bake.bake import merge
+    from farfield.bake.bake import merge_parts
     from farfield.bake.model import BakedLayers
 
-    return dataclass_parts(merge([unpack_dataclass(BakedLayers, a) for a in artifacts]))
+    return merge_parts([unpack_dataclass(BakedLayers, a) for a in artifacts])
 
 
 def repair(inputs: Inputs, shard: Shard) -> Parts:

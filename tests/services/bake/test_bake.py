@@ -2,11 +2,14 @@
 
 import dataclasses
 import itertools
+import json
+import subprocess
+import sys
 
 import farfield.bake.bake
 import numpy as np
 import pytest
-from farfield.bake.bake import bake_batch, find_recorder, layer_pixels, merge, plan_batches
+from farfield.bake.bake import bake_batch, find_recorder, layer_pixels, merge, merge_parts, plan_batches
 from farfield.bake.gl.context import NoContext
 from farfield.candidates.model import BOX, SHAFT
 from farfield.columns import pack_dataclass, unpack_dataclass
@@ -56,7 +59,7 @@ def test_no_crack_opens_anywhere_in_the_view_cell(houses, baked):
     for i, cluster in enumerate(distant_clusters(houses)[:5]):
         corners = naive.triangles(houses, range(hierarchy.start[cluster], hierarchy.stop[cluster]))
         low, high = hierarchy.box[cluster]
-        for corner in range(6):
+        for corner in range(8):
             eye = rng.uniform(CELL[:3], CELL[3:6]) if corner > 3 else np.where(
                 np.array([corner & 1, 1, corner & 2]) > 0, CELL[:3], CELL[3:6])  # fmt: skip
             forward = (low + high) / 2 - eye
@@ -192,6 +195,7 @@ def test_batches_merge_to_the_same_bytes(houses):
         parts = [bake(houses, clusters, CELL, impostors=span) for span in itertools.pairwise(cuts)]
         assert pack_dataclass(merge(parts)) == whole
         assert pack_dataclass(merge([merge(parts[:2]), *parts[2:]])) == whole
+        assert b"".join(merge_parts(parts)) == whole
     assert len(merge(parts).tile_size) < len(merge(parts).plane)
 
 
@@ -213,6 +217,7 @@ def test_nothing_merges_to_nothing():
     empty = merge([])
     assert len(empty.eye) == 0
     assert pack_dataclass(merge([empty])) == pack_dataclass(empty)
+    assert b"".join(merge_parts([])) == pack_dataclass(empty)
 
 
 def test_batches_cover_every_impostor_once():
@@ -325,3 +330,31 @@ def test_auto_takes_opengl_and_falls_back_to_numba(gl, monkeypatch):
     assert find_recorder("auto")[1] == "numba"
     with pytest.raises(NoContext):
         find_recorder("egl")
+
+
+def test_merging_batches_holds_few_of_their_texels(tmp_path) -> None:
+    """Eight batches of 34 MB, mapped: 268 MB to write, and a process that grows by a part of that."""
+    code = f"""
+import sys
+from dataclasses import replace
+from pathlib import Path
+import numpy as np
+from farfield.bake.bake import merge, merge_parts
+from farfield.bake.model import BakedLayers
+from farfield.columns import dataclass_parts, unpack_dataclass
+from farfield.executor import map_file, peak_bytes, reset_peak, write_parts
+folder, side = Path({str(tmp_path)!r}), 2896
+for k in range(8):
+    batch = replace(merge([]), tile_size=np.array([[side, side]], np.int32), tile_byte=np.array([0, 4 * side * side]),
+                    tile_data=np.full(4 * side * side, k, np.uint8))
+    write_parts(dataclass_parts(batch), folder / str(k))
+del batch
+reset_peak()
+before = peak_bytes()
+write_parts(merge_parts([unpack_dataclass(BakedLayers, map_file(folder / str(k))) for k in range(8)]), folder / "all")
+print(peak_bytes() - before, unpack_dataclass(BakedLayers, map_file(folder / "all")).tile_data[:: 4 * side * side].tolist())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    grown, *firsts = done.stdout.split(maxsplit=1)
+    assert json.loads(firsts[0]) == list(range(8))
+    assert int(grown) < 150 << 20

@@ -1,9 +1,11 @@
 """The container: round trip, same content same bytes, and every damaged file is refused by name."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from farfield import columns
 from farfield.columns import (
     DTYPES,
     dataclass_parts,
@@ -15,6 +17,7 @@ from farfield.columns import (
     unpack_files,
 )  # fmt: skip
 from farfield.errors import ColumnsAltered, ColumnsTooNew, ColumnsTruncated, NotColumns, PlacementFileError
+from farfield.executor import map_file
 from farfield.scene.model import Scene
 from hypothesis import given
 from hypothesis import strategies as st
@@ -92,3 +95,24 @@ def test_files_come_back_in_the_order_of_their_names():
     assert [(name, bytes(content)) for name, content in unpack_files(packed)] == sorted(files.items())
     with pytest.raises(ColumnsAltered):
         list(unpack_files(FILE))
+
+
+def test_what_is_released_leaves_the_process_and_reads_the_same_again(tmp_path) -> None:
+    values = np.arange(4 << 20, dtype=np.int64)  # 32 MiB
+    (tmp_path / "f").write_bytes(columns.pack("k", {"a": values, "b": values[:9]}))
+    mapped = columns.unpack(map_file(tmp_path / "f"))[1]
+    mapped["a"].sum()
+    before = _file_pages()
+    columns.release(mapped["b"])  # a small file may stay
+    assert before - _file_pages() < 25 << 20
+    columns.release(mapped["b"], 16 << 20)  # any column: all lie in the one file
+    assert before - _file_pages() > 25 << 20
+    assert np.array_equal(mapped["a"], values)
+    columns.release(values, 0)  # of no file
+    columns.release(columns.unpack(columns.pack("k", {"a": values}))[1]["a"], 0)
+    assert values[-1] == len(values) - 1
+
+
+def _file_pages() -> int:
+    line = next(x for x in Path("/proc/self/status").read_text().splitlines() if x.startswith("RssFile:"))
+    return 1024 * int(line.split()[1])

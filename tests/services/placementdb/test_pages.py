@@ -15,15 +15,19 @@ from PIL import Image
 from placements import TILES, made_up, octagon, texels
 
 
-@given(st.lists(st.tuples(st.integers(1, PAGE_TEXELS), st.integers(1, 300)), max_size=60), st.randoms())
+@given(st.lists(st.tuples(st.integers(1, PAGE_TEXELS), st.integers(1, 300), st.integers(0, 7)), max_size=60), st.data())
 @settings(max_examples=25, deadline=None)
-def test_blocks_never_overlap_and_all_lie_on_pages(sizes, random) -> None:
-    order = list(range(len(sizes)))
-    random.shuffle(order)
-    size = np.array(sizes, dtype=np.int64).reshape(-1, 2)
-    page, at = pack_blocks(size, np.array(order, dtype=np.int64))
+def test_blocks_never_overlap_and_all_lie_on_pages(blocks, data) -> None:
+    shown = [sorted(data.draw(st.sets(st.integers(0, 9), max_size=4))) for _ in range(8)]
+    row, cell = _csr(shown)
+    size, owner = (
+        np.array([b[:2] for b in blocks], dtype=np.int64).reshape(-1, 2),
+        np.array([b[2] for b in blocks], dtype=np.int64),
+    )
+    page, at = pack_blocks(size, owner, row, cell)
     assert (at % ALIGN_TEXELS == 0).all()
     assert (at + size <= PAGE_TEXELS).all()
+    assert (page >= 0).all()
     for k in range(int(page.max(initial=-1)) + 1):
         used = np.zeros((PAGE_TEXELS // 8, PAGE_TEXELS // 8), dtype=bool)  # in units of the coarsest texel
         assert (page == k).any()
@@ -33,14 +37,44 @@ def test_blocks_never_overlap_and_all_lie_on_pages(sizes, random) -> None:
             used[y : y + h, x : x + w] = True
 
 
-def test_blocks_used_together_lie_together() -> None:
+def test_what_the_same_cells_show_lies_together_and_dense() -> None:
+    """Twelve places of five cells each: impostors of one place, some of two, a few of all, in a shuffled order."""
     rng = np.random.default_rng(0)
-    size = rng.integers(8, 200, (600, 2))
-    page, _ = pack_blocks(size, np.arange(600))
-    n_pages = page.max() + 1
-    assert n_pages <= np.ceil((size + 7).prod(1).sum() / PAGE_TEXELS**2 / 0.8)
-    for a in range(0, 600, 50):  # any 50 neighbours in the order: on a few pages, not on all
-        assert np.ptp(page[a : a + 50]) <= 1 + n_pages // 3
+    shown: list[list[int]] = []
+    for i in range(600):
+        place, kind = int(rng.integers(12)), i % 20
+        places = range(12) if kind == 0 else (place, (place + 1) % 12) if kind < 4 else (place,)
+        shown.append(sorted(int(5 * p + c) for p in places for c in rng.choice(5, rng.integers(3, 6), replace=False)))
+    owner = np.repeat(np.arange(600), 2)
+    size = rng.integers(8, 150, (1200, 2))
+    page, _ = pack_blocks(size, owner, *_csr(shown))
+    area = (-(-size // 8) * 8).prod(1)
+    n_pages = int(page.max()) + 1
+    assert n_pages <= np.ceil(area.sum() / PAGE_TEXELS**2 / 0.95) + 1
+    touched, least = [], []
+    for c in range(60):
+        here = np.isin(owner, [i for i, cells in enumerate(shown) if c in cells])
+        touched.append(len(np.unique(page[here])))
+        least.append(np.ceil(area[here].sum() / PAGE_TEXELS**2))
+    assert np.mean(touched) <= 3 * np.mean(least)
+    by_number, _ = pack_blocks(size, owner, np.arange(601), np.zeros(600, dtype=np.int64))  # all as if of one cell
+    as_they_come = np.mean(
+        [len(np.unique(by_number[np.isin(owner, [i for i in range(600) if c in shown[i]])])) for c in range(60)]
+    )
+    assert np.mean(touched) < as_they_come / 1.5
+
+
+def test_an_impostor_larger_than_a_page_fills_pages_of_its_own_and_harms_no_other() -> None:
+    size = np.full((17 + 40, 2), 256)
+    owner = np.concatenate([np.zeros(17, dtype=np.int64), 1 + np.arange(40)])
+    page, _ = pack_blocks(size, owner, *_csr([[0], *([1 + i % 2] for i in range(40))]))
+    assert int(page.max()) + 1 == 4
+    assert len(np.unique(page[:17])) == 2
+
+
+def _csr(lists: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:
+    row = np.concatenate([[0], np.cumsum([len(x) for x in lists], dtype=np.int64)])
+    return row, np.array([c for x in lists for c in x], dtype=np.int64)
 
 
 def test_mip_levels_agree_with_texel_by_texel() -> None:

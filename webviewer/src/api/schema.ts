@@ -659,6 +659,7 @@ export type Route =
   | "POST /v1/keys/{key_id}/rotate"
   | "POST /v1/logins"
   | "GET /v1/placements"
+  | "GET /v1/placements/{placement}/gltf"
   | "GET /v1/placements/{placement}/{path}"
   | "GET /v1/scenes"
   | "POST /v1/scenes"

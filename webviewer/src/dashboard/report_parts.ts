@@ -38,6 +38,7 @@ export function certificate(report: Report, placement: string): HTMLElement {
   if (report.bound && known(report.lower_bound_bytes)) rest.push(["Proven lower bound", bytes(report.lower_bound_bytes), `before the bake; ${bytes(report.bound.estimated_bytes)} placed${known(report.bound.gap) ? `, ${(100 * report.bound.gap).toFixed(0)} % more` : ""}`]);
   if (known(report.file_bytes)) rest.push(["Files", bytes(report.file_bytes), known(report.pages) ? plural(report.pages, "page") : ""]);
   if (known(report.video_bytes)) rest.push(["Video memory, all pages", bytes(report.video_bytes), ""]);
+  if (verified?.resident) rest.push(["Resident at once, worst cell", bytes(verified.resident.bytes), `cell ${verified.resident.cell}; median ${bytes(verified.resident.median_bytes)}, all of it ${bytes(verified.resident.all_bytes)}`]);
   const worst = verified?.worst_view;
   return h("section", { class: "cert", "aria-label": "Certificate" },
     h("div", null, h("div", { class: "big" }, verdictMark(report.verdict)), ...meaning(report),
@@ -92,6 +93,8 @@ export function figures(report: Report): HTMLElement | null {
     ["Impostor bytes", "the measure that was made least", report.bytes, "bytes"],
     ["File bytes", "index, chunks and pages", report.file_bytes, "bytes"],
     ["Video bytes", "all pages in video memory", report.video_bytes, "bytes"],
+    ["Resident bytes, worst cell", "chunk, pages and level of all its views", report.verified?.resident?.bytes, "bytes"],
+    ["Resident bytes, median cell", "", report.verified?.resident?.median_bytes, "bytes"],
     ["Chunks", "files of problem views", report.chunks, "count"],
     ["Pages", "texture atlases", report.pages, "count"],
   ];

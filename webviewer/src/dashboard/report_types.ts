@@ -52,6 +52,8 @@ export interface Verified {
   worst_ratio: number;
   worst_view: { position: Vec3; direction: Vec3; cost: number; cell?: number } | null;
   in_problem_views?: number;
+  /** What a viewer holds at once in the cell that needs most; reports of before have none. */
+  resident?: { cell: number; bytes: number; chunk_bytes: number; page_bytes: number; level_bytes: number; median_bytes: number; all_bytes: number };
 }
 
 export interface ProofPair {

@@ -15,8 +15,8 @@ import { readManifest, type FileEntry, type Manifest } from "./manifest";
 import { sha256 } from "./sha256";
 import { unpackFile } from "./squeeze";
 
-/** Resolves to null where the file does not exist; `name` is relative to the placement. */
-export type FetchBytes = (name: string, signal?: AbortSignal) => Promise<Uint8Array | null>;
+/** Resolves to null where the file does not exist; `name` is relative to the placement; `anew`: past every cache. */
+export type FetchBytes = (name: string, signal?: AbortSignal, anew?: boolean) => Promise<Uint8Array | null>;
 
 /** What one position and direction show; `objects` is null where every object is visible and none is covered. */
 export interface Lookup {
@@ -198,12 +198,21 @@ async function fetchContainer(fetchBytes: FetchBytes, entry: FileEntry, signal?:
   return unpackFile(await fetchChecked(fetchBytes, entry, signal), entry.file, entry.expanded);
 }
 
-/** Fetches a file and checks size, then digest; throws what the format's section 7 says. */
+/** Fetches a file and checks size, then digest; throws what the format's section 7 says, once it came damaged twice. */
 async function fetchChecked(fetchBytes: FetchBytes, entry: FileEntry, signal?: AbortSignal): Promise<Uint8Array> {
-  const bytes = await fetchBytes(entry.file, signal);
-  if (!bytes) throw new PlacementFileMissing(entry.file);
-  await checkFile(bytes, entry);
-  return bytes;
+  const fetched = async (anew: boolean): Promise<Uint8Array> => {
+    const bytes = await fetchBytes(entry.file, signal, anew);
+    if (!bytes) throw new PlacementFileMissing(entry.file);
+    await checkFile(bytes, entry);
+    return bytes;
+  };
+  try {
+    return await fetched(false);
+  } catch (error) {
+    // Cut off or altered on the way, or in a cache on the way: the line may be at fault, not the file.
+    if (error instanceof ColumnsTruncated || error instanceof ColumnsAltered) return fetched(true);
+    throw error;
+  }
 }
 
 async function checkFile(bytes: Uint8Array, entry: FileEntry): Promise<void> {

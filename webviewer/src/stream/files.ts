@@ -48,15 +48,18 @@ function end(t: Traffic, beganMs: number, bytes: number): void {
 
 const BACKOFF_MS = [500, 1000, 2000, 4000, 8000];
 const MOST_TRIES_ON_5XX = 6;
+const AWAY = [429, 502, 503, 504]; // busy, or starting anew behind a proxy: it will be back, as a lost connection will
 
 /** The service answered, but not with the file: worth another try. */
 class Unwell extends TypeError {}
 
-/** Resolves to null for 404. A lost connection is retried for ever, a failing server six times. */
-export async function fetchFile(url: string, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void): Promise<Uint8Array | null> {
+/** Resolves to null for 404. A lost connection or a server that is away is retried for ever, a failing one six times; `anew`: past the browser's cache. */
+export async function fetchFile(
+  url: string, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void, anew = false,
+): Promise<Uint8Array | null> {
   for (let attempt = 0; ; attempt++) {
     try {
-      const bytes = await timed(traffic, () => fetchOnce(url, attempt + 1 >= MOST_TRIES_ON_5XX, traffic, signal, onBytes));
+      const bytes = await timed(traffic, () => fetchOnce(url, attempt + 1 >= MOST_TRIES_ON_5XX, traffic, signal, onBytes, anew));
       traffic.failures = 0;
       traffic.offline = false;
       return bytes;
@@ -71,13 +74,15 @@ export async function fetchFile(url: string, traffic: Traffic, signal?: AbortSig
 }
 
 /** Throws a TypeError where it is worth another try. */
-async function fetchOnce(url: string, last: boolean, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void): Promise<Uint8Array | null> {
-  const response = await fetch(url, signal ? { signal, credentials: "same-origin" } : { credentials: "same-origin" });
+async function fetchOnce(
+  url: string, last: boolean, traffic: Traffic, signal?: AbortSignal, onBytes?: (got: number, total: number) => void, anew = false,
+): Promise<Uint8Array | null> {
+  const response = await fetch(url, { signal: signal ?? null, credentials: "same-origin", cache: anew ? "reload" : "default" });
   if (response.status === 404) return null;
   if (response.status === 401 || response.status === 403) throw new AccessDenied();
   if (!response.ok) {
     if (response.status < 500 && response.status !== 429) throw new Error(`${url} answered ${response.status}`);
-    if (last) throw new AccessFailed(url, response.status);
+    if (last && !AWAY.includes(response.status)) throw new AccessFailed(url, response.status);
     throw new Unwell(`status ${response.status}`);
   }
   return readBody(response, traffic, onBytes);
@@ -145,13 +150,14 @@ function delay(ms: number, signal?: AbortSignal): Promise<void> {
 
 /** Files of the placement at `base`; those that this browser keeps need no service, or stand in for one that does not answer. */
 export function fetchFrom(base: string, traffic: Traffic, kept: KeptFiles | null = null): FetchBytes {
-  if (!kept) return (name, signal) => fetchFile(base + name, traffic, signal);
-  return async (name, signal) => {
+  const fetched = (name: string, signal?: AbortSignal, anew = false): Promise<Uint8Array | null> => fetchFile(base + name, traffic, signal, undefined, anew);
+  if (!kept) return fetched;
+  return async (name, signal, anew) => {
     const held = await kept.digestNamed(name);
     if (held) return held;
     try {
       const copy = await kept.get(name);
-      const bytes = await (copy ? fetchOr(copy, base + name, traffic, signal) : fetchFile(base + name, traffic, signal));
+      const bytes = await (copy ? fetchOr(copy, base + name, traffic, signal) : fetched(name, signal, anew));
       const putting = bytes && bytes !== copy ? kept.put(name, bytes) : null;
       if (name === "manifest.json") await (bytes ? putting : kept.clear()); // before the files that it names
       return bytes;

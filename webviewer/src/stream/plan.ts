@@ -48,6 +48,7 @@ function gapTo([low, high]: Box, p: ArrayLike<number>): number {
 export class ChunkPages {
   private readonly row: Int32Array;
   private readonly page: Int32Array;
+  private readonly listPages: (readonly number[] | undefined)[] = [];
   private readonly chunk: PlacementChunk;
 
   constructor(chunk: PlacementChunk) {
@@ -69,7 +70,19 @@ export class ChunkPages {
 
   /** Adds the pages of a local problem view to `out`. */
   addView(view: number, out: Set<number>): void {
-    for (const m of impostorsOfView(this.chunk, view)) for (const p of this.of(m)) out.add(p);
+    for (const p of this.ofList(view)) out.add(p);
+  }
+
+  /** The distinct pages of a view's list of impostors, found once: views that are planned for come again and again. */
+  private ofList(view: number): readonly number[] {
+    const list = this.chunk.viewList[view];
+    let pages = this.listPages[list];
+    if (!pages) {
+      const distinct = new Set<number>();
+      for (const m of impostorsOfView(this.chunk, view)) for (const p of this.of(m)) distinct.add(p);
+      this.listPages[list] = pages = [...distinct];
+    }
+    return pages;
   }
 
   /** Adds the pages of a cell's problem views, those nearest to the direction first: what turning on the spot needs. */

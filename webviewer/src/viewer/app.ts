@@ -48,11 +48,12 @@ export class App {
   private dirty = 2; // frames still to draw
   private lastMs = 0;
   private plannedAt = 0;
+  private plannedCell = -1;
   private wroteAt = 0;
   private movedAt = 0;
   private panoramaFor = "";
   private readonly facts: FrameFacts = {
-    calls: 0, triangles: 0, impostors: 0, waiting: 0, missing: 0, cost: 0, geometryCost: 0, cell: -1, problemView: -1, reason: 0,
+    calls: 0, triangles: 0, impostors: 0, waiting: 0, missing: 0, cost: 0, geometryCost: 0, placementMs: 0, cell: -1, problemView: -1, reason: 0,
   };
 
   constructor(
@@ -219,8 +220,10 @@ export class App {
       this.touch();
     }
     this.walks.advance(now);
+    const began = performance.now();
     this.streamer.upload(1);
     if (this.locate(now - this.plannedAt > PLAN_EVERY_MS)) this.touch();
+    this.engine.placementMs = performance.now() - began;
     if (this.dirty > 0) {
       this.dirty--;
       this.draw();
@@ -275,6 +278,7 @@ export class App {
     f.missing = engine.standIns.missing;
     f.cost = s.cost;
     f.geometryCost = s.geometryCost;
+    f.placementMs = engine.placementMs;
     f.cell = situation.cell;
     f.problemView = situation.problemView ?? -1;
     f.reason = reasonOf(s.cost > this.placement.manifest.budget.amount, promised, situation.hopeless, situation.waiting);
@@ -284,8 +288,12 @@ export class App {
   private locate(replan: boolean): boolean {
     const { position, velocity } = this.walker;
     const changed = this.engine.locate(position, this.walker.direction);
-    if (changed || replan) {
+    const { situation, standIns } = this.engine;
+    // Where the view lacks nothing, turning on the spot needs no new plan before the next is due.
+    const due = replan || (changed && (situation.waiting || standIns.missing > 0 || situation.cell !== this.plannedCell));
+    if (due && !this.streamer.whole) {
       this.plannedAt = this.lastMs;
+      this.plannedCell = situation.cell;
       const seconds = lookAheadS(this.traffic.fileS);
       const ahead = position.map((x, a) => x + seconds * velocity[a]);
       const { engine } = this;

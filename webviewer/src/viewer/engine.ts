@@ -81,6 +81,8 @@ export class Engine {
   readonly drawn: DrawStats = { calls: 0, triangles: 0 };
   readonly standIns: StandIns = { missing: 0, boxes: 0, untextured: 0 };
   levelPlan: LevelPlan | null = null; // where the level is in pages
+  /** What finding and submitting impostors, and choosing what is drawn, took of the processor since it was last set to 0. */
+  placementMs = 0;
   /** Rises whenever what a view shows may have changed. */
   version = 0;
   readonly view: View = makeView();
@@ -231,7 +233,9 @@ export class Engine {
 
   /** Draws one frame into the canvas at its present size. */
   draw(position: Vec3, direction: Vec3): void {
+    const began = performance.now();
     this.prepare(position, direction);
+    this.placementMs += performance.now() - began;
     const { gl, modes } = this;
     const { width, height } = this.canvas;
     this.view.mode = modes.heat ? HEAT : modes.layers ? TINTED : PICTURE;
@@ -336,7 +340,9 @@ export class Engine {
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(from, 0, to - from, height);
       // Impostors first: blended geometry must come over them.
+      const began = performance.now();
       this.layers.draw(view, this.pages, this.placement.manifest.origin_m, this.drawn);
+      this.placementMs += performance.now() - began;
     }
     const { renderer } = level;
     renderer.resetState();

@@ -2,10 +2,15 @@
  * `window.farfield`: the viewer for scripts. Positions and directions are scene metres; counts and pictures are at the
  * placement's full resolution, whatever the size of the window. Described in webviewer/README.md.
  */
+import { chunkOfCell, impostorsOfView, viewInChunk } from "../placementdb/placement";
 import { sha256 } from "../placementdb/sha256";
+import { findCell } from "../select/cells";
 import { insideBoxes } from "../select/clamp";
+import { findInterval } from "../select/intervals";
 import { decodeWalk } from "../walk/walk";
 import type { App, Switches } from "./app";
+
+const LOOKUPS = 20_000;
 
 export interface Stats {
   calls: number; // draw calls really made: geometry primitives, and one for all impostor layers
@@ -33,7 +38,7 @@ export interface Stats {
   missing: number; // objects drawn at another level of detail or as boxes: their geometry is not here
   boxes: number; // of them
   incomplete: number; // frames so far with any
-  memory: { level: number; mostLevel: number; mostChunks: number; evictions: number }; // bytes; video memory of the level, system memory of chunks
+  memory: { level: number; mostLevel: number; mostChunks: number; evictions: number; pages: number }; // bytes; video memory of the level, system memory of chunks, video memory held for impostors
   firstWholeMs: number; // when the first image without stand-ins was there, since the page was opened
   firstWholeBytes: number; // of the placement that had come by then
 }
@@ -49,6 +54,7 @@ export interface Hook {
   replay: (walk?: string) => Promise<string>; // CSV of one replay of the walk, or of the one that is there
   coverage: () => Promise<string>;
   pageDigests: (page: number) => Promise<string[]>;
+  lookupUs: (views: number[][]) => Promise<number>; // microseconds that finding the impostors of a view takes; rows of position and direction
 }
 
 /** `started` resolves with the running viewer, or rejects with what went wrong. */
@@ -97,8 +103,31 @@ export function makeHook(started: Promise<App>): Hook {
         return (app.engine.gl.canvas as HTMLCanvasElement).toDataURL("image/png");
       });
     },
+    lookupUs: async (views) => timeLookups(await started, views),
     pageDigests: async (page) => Promise.all((await settled()).engine.pages.read(page).map((level) => sha256(level))),
   };
+}
+
+/** Mean over the views, each looked up often enough for the clock; views whose chunk is not here count as far as they go. */
+function timeLookups(app: App, views: readonly number[][]): number {
+  const { placement } = app;
+  const { manifest, index } = placement;
+  const rows = views.map((row) => [row.slice(0, 3), row.slice(3)] as const);
+  const rounds = Math.ceil(LOOKUPS / rows.length);
+  let found = 0;
+  const began = performance.now();
+  for (let round = 0; round < rounds; round++) {
+    for (const [position, direction] of rows) {
+      const cell = findCell(index, manifest, position);
+      const interval = findInterval(manifest.interval_edges, direction);
+      const number = cell < 0 ? -1 : chunkOfCell(manifest, cell);
+      const chunk = number < 0 ? undefined : placement.residentChunk(number);
+      const view = chunk ? viewInChunk(chunk, cell, interval) : -1;
+      if (view >= 0) found += impostorsOfView(chunk!, view).length;
+    }
+  }
+  const ms = performance.now() - began;
+  return found >= 0 ? (1000 * ms) / (rounds * rows.length) : NaN; // `found` is used: nothing may be left out
 }
 
 function read(app: App): Stats {
@@ -123,7 +152,7 @@ function read(app: App): Stats {
       firstWholeBytes: app.firstWholeBytes,
       memory: {
         level: engine.level.pages?.bytes ?? 0, mostLevel: engine.level.pages?.mostBytes ?? 0, mostChunks: app.streamer.mostChunkBytes,
-        evictions: engine.level.pages?.evictions ?? 0,
+        evictions: engine.level.pages?.evictions ?? 0, pages: engine.pages.slots * engine.pages.bytesPerPage,
       },
     };
   });

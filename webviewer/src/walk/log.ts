@@ -18,6 +18,7 @@ export interface FrameFacts {
   missing: number; // objects whose geometry was not resident
   cost: number;
   geometryCost: number;
+  placementMs: number; // of the processor: finding the view, streaming, choosing, submitting impostors
   cell: number; // -1: none
   problemView: number; // -1: none
   reason: number;
@@ -40,7 +41,7 @@ export class WalkLog {
     this.ms = new Float64Array(frames).fill(NaN);
     const column = (): Float64Array => new Float64Array(frames);
     this.columns = {
-      calls: column(), triangles: column(), impostors: column(), waiting: column(), missing: column(), cost: column(), geometryCost: column(),
+      calls: column(), triangles: column(), impostors: column(), waiting: column(), missing: column(), cost: column(), geometryCost: column(), placementMs: column(),
       cell: column(), problemView: column(), reason: column(),
     };
   }
@@ -54,6 +55,7 @@ export class WalkLog {
     c.missing[k] = f.missing;
     c.cost[k] = f.cost;
     c.geometryCost[k] = f.geometryCost;
+    c.placementMs[k] = f.placementMs;
     c.cell[k] = f.cell;
     c.problemView[k] = f.problemView;
     c.reason[k] = f.reason;
@@ -78,7 +80,7 @@ export class WalkLog {
 }
 
 const CSV_HEADER = [
-  "frame", "walk_ms", "time_ms", "calls", "triangles", "impostors", "impostors_waiting", "objects_missing", "cost", "geometry_cost", "cell", "problem_view", "over_budget",
+  "frame", "walk_ms", "time_ms", "calls", "triangles", "impostors", "impostors_waiting", "objects_missing", "cost", "geometry_cost", "cell", "problem_view", "over_budget", "placement_ms",
 ];
 
 /** One line a frame. */
@@ -87,7 +89,7 @@ export function walkCsv(log: WalkLog, stepMs: number): string {
   const id = (n: number): number | null => (n < 0 ? null : n);
   const rows = Array.from({ length: log.count }, (_, k) => [
     k, (k * stepMs).toFixed(3), Number.isFinite(log.ms[k]) ? log.ms[k].toFixed(3) : null, c.calls[k], c.triangles[k], c.impostors[k], c.waiting[k], c.missing[k], c.cost[k],
-    c.geometryCost[k], id(c.cell[k]), id(c.problemView[k]), REASONS[c.reason[k]],
+    c.geometryCost[k], id(c.cell[k]), id(c.problemView[k]), REASONS[c.reason[k]], c.placementMs[k].toFixed(3),
   ]);
   return csv(CSV_HEADER, rows);
 }

@@ -127,7 +127,7 @@ describe("a damaged walk is refused by name", () => {
 
 describe("the log of a replay", () => {
   const facts = (reason: number, problemView = 4): FrameFacts => ({
-    calls: 10, triangles: 200, impostors: 3, waiting: 1, missing: 0, cost: 1_500_000, geometryCost: 3_000_000, cell: 7, problemView, reason,
+    calls: 10, triangles: 200, impostors: 3, waiting: 1, missing: 0, cost: 1_500_000, geometryCost: 3_000_000, placementMs: 0.25, cell: 7, problemView, reason,
   });
 
   it("says why a frame is over budget", () => {
@@ -145,8 +145,8 @@ describe("the log of a replay", () => {
     log.ms[0] = 12.5;
     const lines = walkCsv(log, STEP_MS).split("\r\n");
     expect(lines).toHaveLength(4); // with the header, and nothing after the last line's end
-    expect(lines[1]).toBe("0,0.000,12.500,10,200,3,1,0,1500000,3000000,7,4,streaming");
-    expect(lines[2]).toBe("1,16.667,,10,200,3,1,0,1500000,3000000,7,,");
+    expect(lines[1]).toBe("0,0.000,12.500,10,200,3,1,0,1500000,3000000,7,4,streaming,0.250");
+    expect(lines[2]).toBe("1,16.667,,10,200,3,1,0,1500000,3000000,7,,,0.250");
     expect([log.overBudget, log.over(STREAMING), log.percentileMs(0.99)]).toEqual([1, 1, 12.5]);
   });
 
