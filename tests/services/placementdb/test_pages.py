@@ -4,6 +4,8 @@ import io
 
 import numpy as np
 import pytest
+import rectpack
+from farfield.placementdb.kernels import max_rects
 from farfield.placementdb.layers import clip, cut_layers, halved
 from farfield.placementdb.layout import ALIGN_TEXELS, LEVELS, PAGE_HEIGHT, PAGE_TEXELS, PAGE_WIDTH
 from farfield.placementdb.pack import pack_blocks
@@ -62,6 +64,23 @@ def test_what_the_same_cells_show_lies_together_and_dense() -> None:
         [len(np.unique(by_number[np.isin(owner, [i for i in range(600) if c in shown[i]])])) for c in range(60)]
     )
     assert np.mean(touched) < as_they_come / 1.5
+
+
+@given(st.lists(st.tuples(st.integers(1, 40), st.integers(1, 40)), min_size=1, max_size=150), st.integers(30, 64))
+@settings(max_examples=40, deadline=None)
+def test_blocks_lie_where_the_library_puts_them(blocks, side) -> None:
+    library = rectpack.newPacker(
+        mode=rectpack.PackingMode.Offline, bin_algo=rectpack.PackingBin.BFF, pack_algo=rectpack.MaxRectsBssf,
+        sort_algo=rectpack.SORT_NONE, rotation=False,
+    )  # fmt: skip
+    for b, (width, height) in enumerate(blocks):
+        library.add_rect(width, height, rid=b)
+    library.add_bin(side, side)
+    library.pack()
+    expected = np.full((len(blocks), 2), -1)
+    for _, x, y, _, _, b in library.rect_list():
+        expected[b] = x, y
+    np.testing.assert_array_equal(max_rects(np.array(blocks, dtype=np.int64), side), expected)
 
 
 def test_an_impostor_larger_than_a_page_fills_pages_of_its_own_and_harms_no_other() -> None:
