@@ -10,14 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from accept.measure import farfield
+from benchmarks.conservative_stage import LEVELS
 from benchmarks.measure import exponent
 from benchmarks.scenes import CELL_M, munich, settings_text, vienna
+from benchmarks.test_conservative import SCENES
 from benchmarks.walk import Taken, read_settings, walk
 from cutout import demo_city
 from farfield.columns import unpack_dataclass
 from farfield.executor import Executor, map_file
+from farfield.settings import Settings, ViewSpaceSettings, VisibilitySettings
 from farfield.stages import Stage
 from farfield.viewspace.model import ProblemViews
+from farfield.visibility.model import VisibleSets
 
 SHARDED = (Stage.VISIBILITY, Stage.VIEWSPACE, Stage.CANDIDATES, Stage.BAKE, Stage.EVALUATION, Stage.PROOF)
 
@@ -89,6 +93,29 @@ def test_whole_city(tmp_path, report):
             add(stage["name"], "wall clock, 2 workers", stage["seconds"])
     peak = f"wall clock, 2 workers, {done.peak_bytes / 2**30:.2f} GiB in all processes"
     add("all", peak, done.seconds)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_sampled(level, tmp_path, report):
+    """Visibility by rays at its defaults, two workers, wall clock: means something only where nothing else runs."""
+    name, cell_m, boxes = LEVELS[level]
+    if not (SCENES / name).is_dir():
+        pytest.skip(f"{name} is not on this machine")
+    space, mode = ViewSpaceSettings(cell_m=cell_m, boxes=boxes), VisibilitySettings(mode="sampled")
+    settings = Settings(view_space=space, visibility=mode)
+    scene = SCENES / name / "scene.glb"
+    with Executor(scene, settings, tmp_path, workers=2, progress=lambda *_: None) as executor:
+        for stage in Stage:
+            seconds = executor.run(stage).seconds
+            if stage is Stage.VISIBILITY:
+                break
+        found = unpack_dataclass(VisibleSets, executor.artifact(Stage.VISIBILITY))
+    stated = f"{found.missed_ppm_upper:.1f} ppm missed at most, p99 {found.p99_ppm:.0f}, {found.rays:,} rays"
+    report(
+        stage=Stage.VISIBILITY, work=f"wall clock, 2 workers: {stated}", input=f"{level}, {len(found.row) - 1:,} cells",
+        seconds=seconds, rate=found.rays / seconds, unit="rays/s",
+    )  # fmt: skip
+    assert found.missed_ppm_upper < 50 and found.p99_ppm < 1000
 
 
 def test_growth(tmp_path, report):
