@@ -41,6 +41,13 @@ def set_view(page: Any, position: Sequence[float], direction: Sequence[float]) -
     return page.evaluate("farfield.stats()")
 
 
+def view_of(page: Any) -> tuple[list[float], list[float]]:
+    """Return position and direction, without waiting for what is on its way."""
+    parts = dict(part.split("=", 1) for part in page.evaluate("farfield.share()").lstrip("#").split("&"))
+    position, direction = ([float(x) for x in parts[key].split(",")] for key in ("at", "to"))
+    return position, direction
+
+
 def flip(truth: np.ndarray, shown: np.ndarray) -> np.ndarray:
     """Return (H,W) f4, 0 .. 1: what the flip-evaluator package says of two pictures (H,W,3) u1."""
     import flip_evaluator

@@ -41,7 +41,8 @@ async def accept(service: State, tenant_id: str, file: Arrived) -> tuple[sa.Row[
         await run_in_threadpool(_link, file.path, scene)
         reader = [*service.settings.inspect_command, "--out", folder]
         shown = file.name or f"the scene{suffix}"
-        summary = await read_apart(reader, scene, shown, service.settings, SCENES)
+        async with SCENES:
+            summary = await read_apart(reader, scene, shown, service.settings)
         return await run_in_threadpool(_store, service, tenant_id, file, scene, summary), True
 
 

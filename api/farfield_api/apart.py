@@ -28,11 +28,9 @@ KEPT = re.compile(r"(PATH|HOME|LANG|TZ|LC_\w+|LD_LIBRARY_PATH|PYTHON\w+|NUMBA_\w
 SCENES, SAMPLES = asyncio.Semaphore(2), asyncio.Semaphore(1)
 
 
-async def read_apart(
-    reader: Sequence[str], path: Path, shown: str, settings: ApiSettings, slots: asyncio.Semaphore
-) -> dict[str, Any]:
+async def read_apart(reader: Sequence[str], path: Path, shown: str, settings: ApiSettings) -> dict[str, Any]:
     """Return what the command `reader` says of the file, as JSON. Raises InputRefused with its error's name,
-    SceneOverLimit.
+    SceneOverLimit. Whoever asks holds a slot of the semaphore for what is read.
 
     path   alone in its folder, which is the process's temporary folder, too
     shown  what to call the file
@@ -41,20 +39,19 @@ async def read_apart(
     command = [reader[0], "-m", "farfield_api.limited", *limits, *reader, str(path)]
     kept = {name: value for name, value in os.environ.items() if KEPT.fullmatch(name)}
     said, told = path.with_name("said.json"), path.with_name("told.txt")
-    async with slots:
-        with said.open("wb") as out, told.open("wb") as err:
-            child = await asyncio.create_subprocess_exec(
-                *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True,
-                env={**kept, "TMPDIR": str(path.parent), "OPENBLAS_NUM_THREADS": "1"},
-            )  # fmt: skip
-        try:
-            await asyncio.wait_for(child.wait(), settings.inspect_seconds)
-        except TimeoutError:
-            raise SceneOverLimit(f"reading {shown} took more than {settings.inspect_seconds} s") from None
-        finally:
-            with suppress(ProcessLookupError):
-                os.killpg(child.pid, signal.SIGKILL)
-            await child.wait()
+    with said.open("wb") as out, told.open("wb") as err:
+        child = await asyncio.create_subprocess_exec(
+            *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True,
+            env={**kept, "TMPDIR": str(path.parent), "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+    try:
+        await asyncio.wait_for(child.wait(), settings.inspect_seconds)
+    except TimeoutError:
+        raise SceneOverLimit(f"reading {shown} took more than {settings.inspect_seconds} s") from None
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        await child.wait()
     if child.returncode == 0:
         if said.stat().st_size > ANSWER_BYTES:
             raise SceneOverLimit(f"what there is to say of {shown} takes more than {ANSWER_BYTES} bytes")

@@ -36,12 +36,12 @@ async def export(service: State, source: Path | str, name: str, options: list[st
     with TemporaryDirectory(dir=service.artifacts.temporary, prefix="export-") as scratch:
         folder, out = Path(scratch) / "placement", Path(scratch) / "impostors.glb"
         command = [*service.settings.export_command, *options, "--out", str(out)]
-        async with EXPORTS:  # the files are laid out by whom the turn has come to
+        async with EXPORTS:  # held while the files lie there: a city's take room
             if isinstance(source, Path):
                 folder.symlink_to(source.resolve())
             else:
                 await run_in_threadpool(_lay_out, service.artifacts, source, Path(scratch))
-            await read_apart(command, folder, name, service.settings, asyncio.Semaphore(1))
+            await read_apart(command, folder, name, service.settings)
         return out.open("rb")
 
 

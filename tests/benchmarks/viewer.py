@@ -28,10 +28,11 @@ from accept.measure import held_bytes, tree
 from browser.chromium import CHROMIUM, FLAGS, launch
 from browser.static_server import DIST, serving
 from browser.walks import encode_walk
+from farfield.evaluation.resident import peak_resident
 from farfield.experiment.browser import Pages, find_browser
 from farfield.experiment.route import make_route
 from farfield.placementdb.read import Placement
-from pictures import compare
+from pictures import compare, view_of
 from playwright.sync_api import Page, sync_playwright
 
 FRAMES, PIECES = 1000, 10
@@ -57,24 +58,11 @@ def first(folder: Path) -> dict[str, Any]:
     return {"starts": found, "best": min(found, key=lambda f: f["firstWholeMs"])}
 
 
-def held_by(folder: Path) -> int:
-    """Return what the placement takes when all of it is in memory, in bytes, as webviewer/src/stream/caps.ts counts it."""
-    manifest = Placement.open(folder).manifest
-    page = sum(4 * level["size"] ** 2 for level in manifest["page"]["levels"])
-    geometry = manifest["geometry"] or {"pages": [], "textures": []}
-    return int(
-        sum(chunk.get("expanded", chunk["bytes"]) for chunk in manifest["chunks"])
-        + page * len(manifest["pages"])
-        + sum(part["memory"] for part in geometry["pages"])
-        + sum(-(-16 * t["width"] * t["height"] // 3) for t in geometry["textures"])
-    )
-
-
 def walk(folder: Path, seconds: float) -> dict[str, Any]:
     """Walk for so long with half the memory, and return what was held, asked for and seen."""
     boxes = np.array(Placement.open(folder).manifest["view_space"])
     route = make_route(boxes, 4000)
-    held = held_by(folder)
+    held = peak_resident(Placement.open(folder))["all_bytes"]
     asked: Counter[str] = Counter()
 
     def note(path: str) -> None:
@@ -149,7 +137,7 @@ def _on_foot(page: Page, route: np.ndarray, seconds: float) -> dict[str, Any]:
         if walked - stopped >= seconds / STOPS:
             stopped = walked
             page.keyboard.up("w")
-            view = compare(page, *_view(page))
+            view = compare(page, *view_of(page))
             holes.append(view.holes)
             page.focus("#picture")
             page.keyboard.down("w")
@@ -157,15 +145,8 @@ def _on_foot(page: Page, route: np.ndarray, seconds: float) -> dict[str, Any]:
     return {"seconds": round(walked), "metres": round(metres), "samples": samples, "holes": holes}
 
 
-def _view(page: Page) -> tuple[list[float], list[float]]:
-    """Return position and direction, without waiting for what is on its way."""
-    parts = dict(part.split("=", 1) for part in page.evaluate("farfield.share()").lstrip("#").split("&"))
-    position, direction = ([float(x) for x in parts[key].split(",")] for key in ("at", "to"))
-    return position, direction
-
-
 def _where(page: Page) -> tuple[np.ndarray, float]:
-    position, direction = _view(page)
+    position, direction = view_of(page)
     return np.array(position), float(np.arctan2(-direction[0], -direction[2]))
 
 

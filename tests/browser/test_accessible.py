@@ -2,7 +2,7 @@
 
 import pytest
 from browser.page_service import ROOT
-from browser.visitor import level, sign_in, submit
+from browser.visitor import finished, sign_in
 from farfield.store import workers
 from farfield.store.workers import Telling
 
@@ -40,13 +40,7 @@ def service(service):
 
 @pytest.fixture(scope="module")
 def job(browser, service):
-    """A finished job of the operator's."""
-    page = browser.new_page()
-    sign_in(page, service, service.operator)
-    found = submit(page, level("a.glb", shards=3, picture=True))
-    page.wait_for_selector("text=Compare", timeout=30_000)
-    page.close()
-    return found
+    return finished(browser, service, "a.glb")
 
 
 def _violations(page):

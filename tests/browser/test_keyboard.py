@@ -1,7 +1,7 @@
 """Every page with the keyboard alone: what can be operated is reached by Tab, in view and visibly focused, and none is a trap."""
 
 import pytest
-from browser.visitor import level, sign_in, submit
+from browser.visitor import finished, sign_in
 
 pytestmark = pytest.mark.browser
 # address -> what is there once the page is
@@ -42,12 +42,7 @@ FOCUSED = """() => {
 
 @pytest.fixture(scope="module")
 def job(browser, service):
-    page = browser.new_page()
-    sign_in(page, service, service.operator)
-    found = submit(page, level("keyboard.glb", shards=3, picture=True))
-    page.wait_for_selector("text=Compare", timeout=30_000)
-    page.close()
-    return found
+    return finished(browser, service, "keyboard.glb")
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 from browser.levels import box_level, give_level
 from browser.static_server import DIST, ROOT, serving
 from farfield.placementdb.read import Placement
+from pictures import view_of
 
 pytestmark = [
     pytest.mark.browser,
@@ -19,8 +20,7 @@ pytestmark = [
 
 
 def _where(page: Any) -> np.ndarray:
-    parts = dict(part.split("=", 1) for part in page.evaluate("farfield.share()").lstrip("#").split("&"))
-    return np.array([[float(x) for x in parts[key].split(",")] for key in ("at", "to")])
+    return np.array(view_of(page))
 
 
 def test_a_small_screen_is_walked_by_touch(browser: Any, tmp_path: Path) -> None:

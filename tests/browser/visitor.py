@@ -27,3 +27,13 @@ def submit(page: Any, file: dict[str, Any]) -> str:
     page.click("text=Start job")
     page.wait_for_url("**/jobs/*")
     return str(page.url.rsplit("/", 1)[1])
+
+
+def finished(browser: Any, service: PageService, name: str) -> str:
+    """Return the id of a finished job of the operator's, of a level with this name."""
+    page = browser.new_page()
+    sign_in(page, service, service.operator)
+    job = submit(page, level(name, shards=3, picture=True))
+    page.wait_for_selector("text=Compare", timeout=30_000)
+    page.close()
+    return job

@@ -168,7 +168,8 @@ async def _fit(service: State, frames: list[list[float]]) -> tuple[dict[str, Any
         file = Path(folder) / "samples.json"
         await run_in_threadpool(file.write_text, json.dumps(rows))
         try:
-            found = await read_apart(service.settings.calibrate_command, file, "samples", service.settings, SAMPLES)
+            async with SAMPLES:
+                found = await read_apart(service.settings.calibrate_command, file, "samples", service.settings)
         except InputRefused as refused:
             if refused.code not in NOT_YET:
                 raise

@@ -50,8 +50,8 @@ def pack_blocks(
         begun = list(dict.fromkeys(int(owner[b]) for b in rest))
         for i in groups.grow(begun, int(area[rest].sum())):
             rest.extend(int(b) for b in of_owner[block_row[i] : block_row[i + 1]])
-        rank = {b: (-int(units[b].max()), -int(units[b].min()), k) for k, b in enumerate(rest)}
-        tried = np.array(sorted(rest, key=rank.__getitem__), dtype=np.int64)
+        tried = np.array(rest, dtype=np.int64)
+        tried = tried[np.lexsort((-units[tried].min(1), -units[tried].max(1)))]  # stable
         corner = max_rects(units[tried], _UNITS)
         placed = corner[:, 0] >= 0
         page[tried[placed]], at[tried[placed]] = n_pages, corner[placed] * ALIGN_TEXELS
